@@ -1,0 +1,221 @@
+"""Tables on disk: Parquet through the schema, with units, each file whole or absent.
+
+A run's folder holds `T.parquet` for most tables, and `T/<part>.parquet` for the three large ones (allocations, legs,
+robot_times). Files are written to a temporary folder beside them, flushed, and renamed, so that no reader sees half a file.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from survey_sim.errors import InputError
+from survey_sim.schema import SCHEMA_VERSION, TABLES, Column, Table
+
+# IVOA note "VOParquet" 1.0: the keys under which a file holds its data-less VOTable.
+_VOPARQUET_VERSION = b"IVOA.VOTable-Parquet.version"
+_VOPARQUET_CONTENT = b"IVOA.VOTable-Parquet.content"
+_SCHEMA_VERSION = b"survey_sim.schema_version"
+_ROW_GROUP = 262_144
+
+_VOTABLE_TYPE = {
+    pl.Int8: "short",
+    pl.Int16: "short",
+    pl.Int32: "int",
+    pl.Int64: "long",
+    pl.Float64: "double",
+    pl.String: "unicodeChar",
+    pl.Boolean: "boolean",
+}
+
+
+def empty(table: str) -> pl.DataFrame:
+    """A table with its columns and no row."""
+    return pl.DataFrame(schema={column.name: column.dtype for column in TABLES[table].columns})
+
+
+def conform(frame: pl.DataFrame, table: str) -> pl.DataFrame:
+    """The frame with the declared columns first, in order and type, and its rows sorted.
+
+    Raises
+    ------
+    InputError
+        A declared column is absent, an undeclared one present, a value does not fit its type, a null stands where none may,
+        or two rows share a key: always a fault of the stage that made the frame.
+    """
+    declared = TABLES[table]
+    columns = [_declared(frame, declared, name) for name in declared.names]
+    extra = [name for name in frame.columns if name not in declared.names]
+    columns += [_declared(frame, declared, name) for name in sorted(extra)]
+    try:
+        typed = frame.select(pl.col(column.name).cast(column.dtype) for column in columns)
+    except pl.exceptions.InvalidOperationError as failure:
+        raise InputError(f"a value does not fit its column: {failure}", place=table) from None
+    for column in columns:
+        if not column.is_nullable and typed[column.name].null_count():
+            rows = typed[column.name].is_null().arg_true().to_list()
+            raise InputError("null where none may be", place=f"{table}.{column.name}", rows=rows)
+    repeated = typed.select(declared.key).is_duplicated()
+    if repeated.any():
+        raise InputError(f"rows share the key {declared.key}", place=table, rows=repeated.arg_true().to_list())
+    return typed.sort(declared.order)
+
+
+def write(frame: pl.DataFrame, table: str, path: Path) -> str:
+    """Write a table's file (or part), whole or not at all; gives the SHA-256 of its bytes."""
+    typed = conform(frame, table)
+    data = typed.to_arrow(compat_level=pl.CompatLevel.oldest())
+    data = pa.table(data.columns, schema=_arrow_schema(table, tuple(typed.columns), _text_lengths(typed)))
+    buffer = BytesIO()
+    pq.write_table(data, buffer, compression="zstd", row_group_size=_ROW_GROUP)
+    content = buffer.getvalue()
+    write_bytes(content, path)
+    return sha256(content).hexdigest()
+
+
+def write_bytes(content: bytes, path: Path) -> None:
+    """Write a file through a temporary one in a `.tmp` folder beside the run's tables, flush it, and rename it."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path whose file becomes `path` when the block ends well, and goes away when it does not."""
+    folder = path.parent.parent / ".tmp"
+    folder.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = folder / f"{path.parent.name}-{path.name}.{os.getpid()}"
+    try:
+        yield temporary
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def files(run_dir: Path, table: str) -> list[Path]:
+    """The files of a run's table, in order of their names; empty if the run has none."""
+    if TABLES[table].is_in_parts:
+        return sorted((run_dir / table).glob("*.parquet"))
+    single = run_dir / f"{table}.parquet"
+    return [single] if single.is_file() else []
+
+
+def scan(run_dir: Path, table: str) -> pl.LazyFrame:
+    """A run's table, read lazily through the schema.
+
+    Raises
+    ------
+    InputError
+        The run has no such table, a file is not readable, is of another schema version, or a declared column is absent.
+    """
+    found = files(run_dir, table)
+    if not found and TABLES[table].is_in_parts and (run_dir / table).is_dir():
+        return empty(table).lazy()
+    if not found:
+        where = run_dir / (f"{table}/" if TABLES[table].is_in_parts else f"{table}.parquet")
+        raise InputError("no such table", file=where, remedy="name the folder of a finished run")
+    for path in found:
+        _check_file(path, TABLES[table])
+    return pl.scan_parquet(found, glob=False)
+
+
+def read(run_dir: Path, table: str) -> pl.DataFrame:
+    """A run's whole table; see `scan`."""
+    return scan(run_dir, table).collect()
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        digest = sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _text_lengths(frame: pl.DataFrame) -> tuple[tuple[str, int], ...]:
+    """Bytes of the longest string of each text column; astropy needs them to size its arrays."""
+    longest = frame.select(pl.col(pl.String).str.len_bytes().max())
+    return tuple((name, max(longest[name].item() or 1, 1)) for name in longest.columns)
+
+
+def _declared(frame: pl.DataFrame, table: Table, name: str) -> Column:
+    column = table.column(name)
+    if column is None:
+        raise InputError("column is not declared in the schema", place=f"{table.name}.{name}")
+    if name not in frame.columns:
+        raise InputError("column is absent", place=f"{table.name}.{name}")
+    return column
+
+
+def _check_file(path: Path, table: Table) -> None:
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowInvalid, OSError) as failure:
+        raise InputError(f"is not a readable Parquet file: {failure}", file=path, remedy="run again to remake it") from None
+    version = (schema.metadata or {}).get(_SCHEMA_VERSION, b"none").decode()
+    if version != str(SCHEMA_VERSION):
+        rule = f"schema version {version}, this package reads {SCHEMA_VERSION}"
+        raise InputError(
+            rule, file=path, remedy="run the pipeline again with this version, or read it with the one it names"
+        )
+    absent = [name for name in table.names if name not in schema.names]
+    if absent:
+        raise InputError(f"columns absent: {', '.join(absent)}", file=path, remedy="run the pipeline again")
+
+
+@cache
+def _arrow_schema(table: str, names: tuple[str, ...], text_lengths: tuple[tuple[str, int], ...]) -> pa.Schema:
+    """Arrow schema of a file, its metadata included."""
+    declared = TABLES[table]
+    columns = [column for name in names if (column := declared.column(name)) is not None]
+    types = pl.DataFrame(schema={c.name: c.dtype for c in columns}).to_arrow(compat_level=pl.CompatLevel.oldest()).schema
+    fields = [
+        pa.field(c.name, types.field(c.name).type, metadata={"unit": c.unit, "ucd": c.ucd, "description": c.description})
+        for c in columns
+    ]
+    metadata = {
+        _SCHEMA_VERSION: str(SCHEMA_VERSION).encode(),
+        _VOPARQUET_VERSION: b"1.0",
+        _VOPARQUET_CONTENT: _votable_header(declared, columns, dict(text_lengths)),
+    }
+    metadata |= {f"table::len::{name}".encode(): str(length).encode() for name, length in text_lengths}
+    return pa.schema(fields, metadata=metadata)
+
+
+def _votable_header(table: Table, columns: list[Column], text_lengths: dict[str, int]) -> bytes:
+    """Data-less VOTable that gives the columns' units, UCDs and descriptions."""
+    from astropy.io.votable import tree  # noqa: PLC0415 - 0.3 s that the command line's help need not pay
+
+    document = tree.VOTableFile(version="1.4")
+    resource = tree.Resource()
+    document.resources.append(resource)
+    element = tree.TableElement(document, name=table.name)
+    element.description = f"One row is {table.row}."
+    resource.tables.append(element)
+    for column in columns:
+        length = text_lengths.get(column.name)
+        field = tree.Field(
+            document,
+            name=column.name,
+            ID=column.name,
+            datatype=_VOTABLE_TYPE[type(column.dtype)],
+            arraysize=str(length) if length else None,
+            unit=column.unit or None,
+            ucd=column.ucd or None,
+        )
+        field.description = column.description
+        element.fields.append(field)
+    buffer = BytesIO()
+    document.to_xml(buffer)
+    return buffer.getvalue()
