@@ -1,0 +1,71 @@
+"""Routing: a collision-free path of all robots from where they stand to where they should.
+
+`route` checks the problem and hands it to one of the paper's three routers or to ours (`coordinated`, the default). All
+keep the separation at every instant, by closed form; what a method cannot route stays where it starts, with a reason.
+"""
+
+# ruff: noqa: PLR0917 - flat arrays, so many arguments
+from collections.abc import Callable
+
+import numpy as np
+
+from survey_sim.instrument import Plate
+from survey_sim.motion import FloatArray, Legs, leg_times_s
+from survey_sim.routing.problem import Problem, RoutedPath, RoutingSettings, UnroutedReason, check_problem
+from survey_sim.routing.simple_vector import route_simple_vector
+
+__all__ = ["ROUTERS", "RoutedPath", "RoutingSettings", "UnroutedReason", "route"]
+
+Router = Callable[[Problem, RoutingSettings, np.random.Generator], tuple[Legs, np.ndarray]]
+
+ROUTERS: dict[str, Router] = {
+    "simple-vector": lambda problem, settings, rng: route_simple_vector(problem),
+}
+
+
+def route(
+    plate: Plate,
+    start_mm: FloatArray,
+    start_theta_deg: FloatArray,
+    goal_mm: FloatArray,
+    settings: RoutingSettings,
+    rng: np.random.Generator,
+) -> RoutedPath:
+    """Collision-free legs that take every robot from its start to its goal.
+
+    Parameters
+    ----------
+    plate
+        The robots; dead ones are obstacles that never move.
+    start_mm, goal_mm
+        (n_robot, 2) mm, plate frame. A robot whose goal equals its start is idle.
+    start_theta_deg
+        (n_robot,) orientation at the start, deg.
+    rng
+        Stream of the coordinated router's repairs; same stream, same legs.
+
+    Raises
+    ------
+    InputError
+        A start or goal outside plate or patrol, nearer to another than the separation, or not finite; a dead robot's goal
+        that is not its start; a wrong shape. All bad robots are named.
+    """
+    problem = check_problem(plate, start_mm, start_theta_deg, goal_mm)
+    legs, reason = ROUTERS[settings.router](problem, settings, rng)
+    return _result(problem, legs, reason)
+
+
+def _result(problem: Problem, legs: Legs, reason: np.ndarray) -> RoutedPath:
+    end_mm, end_theta = problem.start_mm.copy(), problem.start_theta_deg.copy()
+    last = np.flatnonzero(np.diff(legs.robot, append=-1) != 0)
+    end_mm[legs.robot[last]] = np.column_stack([legs.x_mm[last], legs.y_mm[last]])
+    end_theta[legs.robot[last]] = legs.theta_deg[last]
+    rotating, moving = leg_times_s(problem.plate.instrument, legs)
+    return RoutedPath(
+        legs=legs,
+        reason=reason,
+        end_mm=end_mm,
+        end_theta_deg=end_theta,
+        lower_bound_s=float(problem.alone_s.max(initial=0.0)),
+        configuration_time_s=float((legs.start_s + rotating + moving).max(initial=0.0)),
+    )

@@ -1,0 +1,157 @@
+"""What every router is given, what it gives back, and the door: a start or goal that breaks a rule is refused here."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from survey_sim.errors import InputError
+from survey_sim.instrument import Plate
+from survey_sim.motion import FloatArray, Legs, alone_time_s
+from survey_sim.settings import Settings
+
+RouterName = Literal["simple-vector", "traffic-light", "cooperative-astar", "coordinated"]
+
+# Separations down to this much below min_separation_mm are legal everywhere (design tolerance).
+SEPARATION_TOLERANCE_MM = 1e-6
+# Plans keep this share of that tolerance, and starts and goals are held to the same, so that what is legal to stand in is
+# legal to plan from; the rest is for rounding.
+PLANNED_TOLERANCE_MM = 0.9 * SEPARATION_TOLERANCE_MM
+
+
+class UnroutedReason(IntEnum):
+    """Why a robot stays where it starts; 0 is a robot that arrived, or had nowhere to go."""
+
+    ARRIVED = 0
+    # Simple vector and traffic light: its straight line meets a robot that never leaves it.
+    BLOCKED_STRAIGHT = 1
+    # The search found no path among the robots planned before it.
+    NO_PATH = 2
+    # Its goal is held by a robot that could not be routed.
+    DEADLOCK = 3
+    # Proved: dead robots and the edge of its patrol region part its start from its goal.
+    UNREACHABLE = 4
+
+    @property
+    def code(self) -> str:
+        """Name in tables: `blocked-straight`, `no-path`, ..."""
+        return self.name.lower().replace("_", "-")
+
+
+class RoutingSettings(Settings):
+    """Which router, and how it plans."""
+
+    router: RouterName = "coordinated"
+    # Extra separation planned where starts and goals allow; what cannot be routed so is routed without it.
+    margin_mm: float = Field(0.0, ge=0)
+    # Coordinated: steps of repair at each trial duration, before a longer one is tried.
+    n_repair: int = Field(1500, ge=1)
+
+
+@dataclass(frozen=True)
+class RoutedPath:
+    """One collision-free path of all robots.
+
+    Attributes
+    ----------
+    legs
+        Legs of the robots that move.
+    reason
+        (n_robot,) int8 codes of `UnroutedReason`.
+    end_mm, end_theta_deg
+        (n_robot, 2) mm and (n_robot,) deg, the state at the end; an unrouted robot stays where it starts.
+    lower_bound_s
+        When the slowest robot that has to move would arrive alone.
+    configuration_time_s
+        When the last robot comes to rest.
+    """
+
+    legs: Legs
+    reason: npt.NDArray[np.int8]
+    end_mm: FloatArray
+    end_theta_deg: FloatArray
+    lower_bound_s: float
+    configuration_time_s: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A checked routing problem; arrays C-contiguous, robots in the plate's order."""
+
+    plate: Plate
+    start_mm: FloatArray
+    start_theta_deg: FloatArray
+    goal_mm: FloatArray
+
+    @property
+    def n_robot(self) -> int:
+        """Number of robots, idle and dead ones included."""
+        return len(self.start_mm)
+
+    @cached_property
+    def has_to_move(self) -> npt.NDArray[np.bool_]:
+        """(n_robot,) whether the goal differs from the start."""
+        return (self.goal_mm != self.start_mm).any(axis=1)
+
+    @cached_property
+    def alone_s(self) -> FloatArray:
+        """(n_robot,) time of each robot alone, s."""
+        return alone_time_s(self.plate.instrument, self.start_mm, self.start_theta_deg, self.goal_mm)
+
+    @property
+    def separation_mm(self) -> float:
+        """Separation that plans keep, mm."""
+        return self.plate.instrument.min_separation_mm - PLANNED_TOLERANCE_MM
+
+
+def check_problem(plate: Plate, start_mm: FloatArray, start_theta_deg: FloatArray, goal_mm: FloatArray) -> Problem:
+    """The problem as contiguous arrays, or InputError that names the robots and the rule."""
+    n = plate.n_robot
+    start = _array(start_mm, (n, 2), "start_mm", plate)
+    theta = _array(start_theta_deg, (n,), "start_theta_deg", plate)
+    goal = _array(goal_mm, (n, 2), "goal_mm", plate)
+    for place, position in (("start_mm", start), ("goal_mm", goal)):
+        _check_inside(plate, position, place)
+        _check_separation(plate, position, place)
+    moved = ~plate.is_live & (goal != start).any(axis=1)
+    if moved.any():
+        _refuse(plate, moved, "goal_mm", "a dead robot's goal must be its start")
+    return Problem(plate, start, theta, goal)
+
+
+def _array(values: FloatArray, shape: tuple[int, ...], place: str, plate: Plate) -> FloatArray:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise InputError(f"shape {array.shape}, not {shape}: one row a robot of the plate", place=place)
+    bad = np.asarray(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+    if bad.any():
+        _refuse(plate, bad, place, "not a finite number")
+    return array
+
+
+def _check_inside(plate: Plate, position: FloatArray, place: str) -> None:
+    tolerance = SEPARATION_TOLERANCE_MM
+    # A dead robot never moves, so wherever it stands is legal.
+    out_of_plate = np.hypot(*position.T) > plate.instrument.plate_radius_mm + tolerance
+    if (out_of_plate & plate.is_live).any():
+        _refuse(plate, out_of_plate & plate.is_live, place, f"outside the plate, {plate.instrument.plate_radius_mm} mm")
+    out_of_reach = np.hypot(*(position - plate.park_mm).T) > plate.patrol_radius_mm + tolerance
+    if (out_of_reach & plate.is_live).any():
+        _refuse(plate, out_of_reach & plate.is_live, place, "further from park than the patrol radius")
+
+
+def _check_separation(plate: Plate, position: FloatArray, place: str) -> None:
+    least = plate.instrument.min_separation_mm
+    distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
+    np.fill_diagonal(distance, np.inf)
+    near = (distance < least - PLANNED_TOLERANCE_MM).any(axis=1)
+    if near.any():
+        _refuse(plate, near, place, f"robots nearer to each other than min_separation_mm = {least}")
+
+
+def _refuse(plate: Plate, bad: np.ndarray, place: str, rule: str) -> None:
+    raise InputError(rule, place=place, rows=[f"robot {robot}" for robot in plate.robot_id[bad]])
