@@ -1,0 +1,23 @@
+"""Allocation: which robot goes to which target at which visit of a tile.
+
+`start_allocation` makes a session for one tile. Its `next_visit` gives the next configuration from where the robots really
+stand, and its `record` takes what the router could bring about.
+"""
+
+from survey_sim.allocation.ideal import ideal_completeness
+from survey_sim.allocation.kernels import crossings
+from survey_sim.allocation.session import Session, VisitAllocation, start_allocation
+from survey_sim.allocation.settings import ALGORITHMS, AllocationSettings, LostReason
+from survey_sim.allocation.targets import FieldTargets
+
+__all__ = [
+    "ALGORITHMS",
+    "AllocationSettings",
+    "FieldTargets",
+    "LostReason",
+    "Session",
+    "VisitAllocation",
+    "crossings",
+    "ideal_completeness",
+    "start_allocation",
+]

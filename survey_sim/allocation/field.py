@@ -1,0 +1,87 @@
+"""One tile's targets on one plate, made ready for the kernels: who is near whom, who reaches what."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from survey_sim.allocation.kernels import near_lists, reach_lists
+from survey_sim.allocation.settings import AllocationSettings
+from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTargets, FloatArray, IntArray
+from survey_sim.instrument import Plate
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Field:
+    """What an allocator reads and never changes.
+
+    Attributes
+    ----------
+    xy_mm
+        (n_target, 2) mm, plate frame.
+    is_on_plate
+        (n_target,) the others are set aside.
+    value
+        (n_target,) what a visit to a science target is worth: 1 + priority_gain (p - 1) / 8.
+    sector
+        (n_target,) plate region of each sky target, -1 for the other kinds.
+    near_first, near
+        Lists of the targets nearer than the separation to each target.
+    reach_first, reach_robot
+        Lists of the live robots that may serve each target.
+    """
+
+    targets: FieldTargets
+    plate: Plate
+    settings: AllocationSettings
+    xy_mm: FloatArray
+    is_on_plate: BoolArray
+    value: FloatArray
+    sector: IntArray
+    near_first: IntArray
+    near: npt.NDArray[np.int32]
+    reach_first: IntArray
+    reach_robot: npt.NDArray[np.int32]
+
+    @property
+    def separation_mm(self) -> float:
+        """Least distance between two robots, mm."""
+        return self.plate.instrument.min_separation_mm
+
+    def pair_target(self) -> IntArray:
+        """(n_pair,) target of each entry of `reach_robot`."""
+        return np.repeat(np.arange(self.targets.n_target), np.diff(self.reach_first))
+
+    def blocked_by(self, position_mm: FloatArray) -> BoolArray:
+        """(n_target,) targets nearer than the separation to any of the (n, 2) positions, mm."""
+        if not len(position_mm):
+            return np.zeros(self.targets.n_target, dtype=bool)
+        apart = self.xy_mm[:, None] - position_mm[None]
+        return ((apart**2).sum(axis=2) < self.separation_mm**2).any(axis=1)
+
+
+def make_field(targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> Field:
+    """Lists of neighbours and of robots in reach, and the worth of each target."""
+    xy = np.ascontiguousarray(np.column_stack([targets.x_mm, targets.y_mm]))
+    is_on_plate = targets.is_on_plate(plate.instrument.plate_radius_mm)
+    first, near = near_lists(targets.x_mm, targets.y_mm, plate.instrument.min_separation_mm)
+    reach = plate.patrol_radius_mm * np.where(plate.is_live, 1.0, np.nan)
+    reach_first, reach_robot = reach_lists(plate.park_mm, reach, plate.is_guide, xy, targets.kind == GUIDE, is_on_plate)
+    turn = (np.arctan2(targets.y_mm, targets.x_mm) / (2.0 * np.pi)) % 1.0
+    sector = np.minimum((turn * settings.sky_regions).astype(np.int64), settings.sky_regions - 1)
+    low, high = PRIORITY_RANGE
+    return Field(
+        targets=targets,
+        plate=plate,
+        settings=settings,
+        xy_mm=xy,
+        is_on_plate=is_on_plate,
+        value=1.0 + settings.priority_gain * (targets.priority - low) / (high - low),
+        sector=np.where(targets.kind == SKY, sector, -1),
+        near_first=first,
+        near=near,
+        reach_first=reach_first,
+        reach_robot=reach_robot,
+    )

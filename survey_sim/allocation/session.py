@@ -1,0 +1,246 @@
+"""The allocation of one tile, visit by visit, with what the router reports in between."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from survey_sim.allocation.closest import choose_advanced, choose_basic
+from survey_sim.allocation.field import BoolArray, Field, make_field
+from survey_sim.allocation.ideal import choose_ideal
+from survey_sim.allocation.kernels import crossings, note_lost, place_idle
+from survey_sim.allocation.settings import AllocationSettings, LostReason
+from survey_sim.allocation.targets import SKY, FieldTargets, FloatArray, IntArray
+from survey_sim.instrument import Plate
+from survey_sim.schema import TARGET_KINDS
+
+Start = Literal["previous", "park"]
+Choice = Callable[[Field, FloatArray, BoolArray, BoolArray], IntArray]
+
+CHOICES: dict[str, tuple[Choice, Start]] = {
+    "ideal": (choose_ideal, "previous"),
+    "cda-basic": (choose_basic, "park"),
+    "cda-advanced": (choose_advanced, "previous"),
+}
+
+
+@dataclass(frozen=True)
+class VisitAllocation:
+    """Who goes where in one visit.
+
+    Attributes
+    ----------
+    visit_id
+        Counted from 0 in the session.
+    target
+        (n_robot,) index into the field's targets, or -1.
+    goal_mm
+        (n_robot, 2) where each robot shall end: its target, a resting place, or its place if it is dead.
+    start
+        Where the robots set out: their previous ends, or their park positions.
+    travel_mm
+        (n_robot,) straight distance from there, mm.
+    counts, shortfall
+        By kind: fibres that hold it; how many fewer than the least acceptable number.
+    sky_region_shortfall
+        Sky fibres that plate regions lack, summed over regions.
+    crossings
+        Pairs of straight ways that meet.
+    """
+
+    visit_id: int
+    target: IntArray
+    goal_mm: FloatArray
+    start: Start
+    travel_mm: FloatArray
+    counts: dict[str, int]
+    shortfall: dict[str, int]
+    sky_region_shortfall: int
+    crossings: int
+
+
+class Session:
+    """The visits of one tile. Made by `start_allocation`.
+
+    Call `next_visit` with where the robots stand, then `record` with what arrived, until `next_visit` gives None.
+
+    Attributes
+    ----------
+    n_done
+        (n_target,) visits received so far, those before the session included.
+    """
+
+    def __init__(self, field: Field, rng: np.random.Generator, n_done: npt.ArrayLike | None) -> None:
+        self.field = field
+        self.rng = rng
+        n_target = field.targets.n_target
+        self.n_done = np.zeros(n_target, dtype=np.int64) if n_done is None else np.array(n_done, dtype=np.int64)
+        self._n_visit = 0
+        self._awaits_record = False
+        self._is_pair_open = np.ones(len(field.reach_robot), dtype=bool)
+        self._is_unrouted = np.zeros(n_target, dtype=bool)
+        self._n_clear = np.zeros(n_target, dtype=np.int64)
+        self._lowest = np.full(n_target, np.iinfo(np.int64).max)
+
+    @property
+    def is_complete(self) -> BoolArray:
+        """(n_target,) science targets with all their wanted visits."""
+        targets = self.field.targets
+        return targets.is_science & (self.n_done >= targets.wanted_visits)
+
+    @property
+    def completeness_frac(self) -> float:
+        """Complete science targets / science targets on the plate; 1 if there are none."""
+        n = int((self.field.targets.is_science & self.field.is_on_plate).sum())
+        return float(self.is_complete.sum() / n) if n else 1.0
+
+    def has_wanted_completeness(self) -> bool:
+        """Whether every programme has the completeness that it wants of its targets on the plate."""
+        targets = self.field.targets
+        is_counted = targets.is_science & self.field.is_on_plate & (targets.programme >= 0)
+        n_programme = len(targets.programmes)
+        n = np.bincount(targets.programme[is_counted], minlength=n_programme)
+        n_complete = np.bincount(targets.programme[is_counted & self.is_complete], minlength=n_programme)
+        return bool((n_complete >= np.ceil(targets.wanted_frac * n - 1e-9)).all())
+
+    def next_visit(self, position_mm: FloatArray) -> VisitAllocation | None:
+        """The next visit, or None when no further one is wanted or worth its time.
+
+        Parameters
+        ----------
+        position_mm
+            (n_robot, 2) where the robots stand, mm, plate frame.
+        """
+        if self._awaits_record:
+            raise RuntimeError("record() the last visit before asking for the next")
+        settings, plate = self.field.settings, self.field.plate
+        is_last = self.has_wanted_completeness() if settings.visits is None else self._n_visit >= settings.visits
+        if is_last or self._n_visit >= settings.max_visits:
+            return None
+        choose, start = CHOICES[settings.algorithm]
+        start_mm = np.where(plate.is_live[:, None], plate.park_mm, position_mm) if start == "park" else position_mm
+        start_mm = np.ascontiguousarray(start_mm, dtype=np.float64)
+        is_open = self._is_wanted() & ~self.field.blocked_by(start_mm[~plate.is_live])
+        held = choose(self.field, start_mm, is_open, self._is_pair_open)
+        goal = start_mm.copy() if settings.algorithm == "ideal" else self._goals(held, start_mm)
+        goal[held >= 0] = self.field.xy_mm[held[held >= 0]]
+        visit = _make_visit(self.field, self._n_visit, held, start=start, start_mm=start_mm, goal_mm=goal)
+        if visit.counts["science"] < settings.min_gain:
+            return None
+        self._awaits_record = True
+        return visit
+
+    def record(self, visit: VisitAllocation, is_arrived: BoolArray) -> None:
+        """Take note of a visit that was made; targets of robots that did not arrive are open again, to other robots.
+
+        Parameters
+        ----------
+        is_arrived
+            (n_robot,) robots that the router brought to their ends.
+        """
+        targets = self.field.targets
+        has_target = visit.target >= 0
+        reached = visit.target[has_target & is_arrived]
+        missed = visit.target[has_target & ~is_arrived]
+        note_lost(
+            visit.target, self._is_wanted() & targets.is_science, targets.is_science, targets.priority,
+            self.field.near_first, self.field.near, self.field.reach_first, self.field.reach_robot,
+            self._n_clear, self._lowest,
+        )  # fmt: skip
+        self.n_done[reached] += 1
+        self._is_unrouted[reached] = False
+        self._is_unrouted[missed] = True
+        for robot in np.flatnonzero(has_target & ~is_arrived):
+            target = visit.target[robot]
+            pairs = slice(self.field.reach_first[target], self.field.reach_first[target + 1])
+            self._is_pair_open[pairs] &= self.field.reach_robot[pairs] != robot
+        self._n_visit += 1
+        self._awaits_record = False
+
+    def lost_reasons(self) -> npt.NDArray[np.int8]:
+        """(n_target,) `LostReason` of every science target that is not complete; 0 for the rest."""
+        field, plate = self.field, self.field.plate
+        n_near = np.diff(field.near_first)
+        reason = np.full(field.targets.n_target, LostReason.NO_FIBRE_LEFT, dtype=np.int8)
+        reason[field.targets.priority < self._lowest] = LostReason.LOW_PRIORITY
+        is_crowded = (self._n_clear == 0) & (self._n_visit > 0)
+        reason[is_crowded] = LostReason.CROWDED
+        reason[is_crowded & (n_near == 1)] = LostReason.TOO_CLOSE_PAIR
+        reason[self._is_unrouted] = LostReason.UNROUTED
+        reason[field.blocked_by(plate.park_mm[~plate.is_live])] = LostReason.BLOCKED_BY_DEAD
+        reason[np.diff(field.reach_first) == 0] = LostReason.BLOCKED_BY_DEAD
+        reason[~field.is_on_plate | ~_in_reach_of_any(field)] = LostReason.OUT_OF_REACH
+        reason[~field.targets.is_science | self.is_complete] = LostReason.NONE
+        return reason
+
+    def _is_wanted(self) -> BoolArray:
+        targets = self.field.targets
+        return self.field.is_on_plate & (~targets.is_science | (self.n_done < targets.wanted_visits))
+
+    def _goals(self, held: IntArray, start_mm: FloatArray) -> FloatArray:
+        """Ends of all robots; where an idle one finds no room, the nearest science target is given up (in `held`)."""
+        plate, xy = self.field.plate, self.field.xy_mm
+        while True:
+            goal = start_mm.copy()
+            goal[held >= 0] = xy[held[held >= 0]]
+            stuck = place_idle(
+                held < 0, plate.is_live, start_mm, plate.park_mm, plate.patrol_radius_mm,
+                plate.instrument.plate_radius_mm, self.field.separation_mm, goal,
+            )  # fmt: skip
+            if stuck < 0:
+                return goal
+            holders = np.flatnonzero(held >= 0)
+            is_science = self.field.targets.is_science[held[holders]]
+            near_first = np.lexsort((np.hypot(*(xy[held[holders]] - start_mm[stuck]).T), ~is_science))
+            held[holders[near_first[0]]] = -1
+
+
+def start_allocation(
+    targets: FieldTargets,
+    plate: Plate,
+    settings: AllocationSettings,
+    rng: np.random.Generator,
+    n_done: npt.ArrayLike | None = None,
+) -> Session:
+    """Begin the visits of one tile.
+
+    Parameters
+    ----------
+    n_done
+        (n_target,) visits that each science target has received already (a tile that goes on); none by default.
+    """
+    return Session(make_field(targets, plate, settings), rng, n_done)
+
+
+def _make_visit(
+    field: Field, visit_id: int, held: IntArray, *, start: Start, start_mm: FloatArray, goal_mm: FloatArray
+) -> VisitAllocation:
+    settings = field.settings
+    target = held[held >= 0]
+    number = np.bincount(field.targets.kind[target], minlength=len(TARGET_KINDS))
+    counts = {kind: int(number[code]) for code, kind in enumerate(TARGET_KINDS)}
+    least = {"science": 0, "standard": settings.min_standard, "sky": settings.min_sky, "guide": settings.min_guide}
+    is_sky = field.targets.kind[target] == SKY
+    in_region = np.bincount(field.sector[target[is_sky]], minlength=settings.sky_regions)
+    return VisitAllocation(
+        visit_id=visit_id,
+        target=held,
+        goal_mm=goal_mm,
+        start=start,
+        travel_mm=np.hypot(*(goal_mm - start_mm).T),
+        counts=counts,
+        shortfall={kind: max(0, least[kind] - n) for kind, n in counts.items()},
+        sky_region_shortfall=int(np.maximum(0, settings.min_sky_region - in_region).sum()),
+        crossings=int(crossings(start_mm, goal_mm)),
+    )
+
+
+def _in_reach_of_any(field: Field) -> BoolArray:
+    """(n_target,) targets in the patrol disc of a robot of their kind, dead or live."""
+    plate = field.plate
+    is_for_guide = field.targets.kind == TARGET_KINDS.index("guide")
+    apart = field.xy_mm[:, None] - plate.park_mm[None]
+    is_inside = (apart**2).sum(axis=2) <= plate.patrol_radius_mm**2
+    return (is_inside & (plate.is_guide == is_for_guide[:, None])).any(axis=1)

@@ -1,0 +1,55 @@
+"""What a scientist may change about the allocation, and the reasons it gives."""
+
+from enum import IntEnum
+from typing import Literal, get_args
+
+from pydantic import Field
+
+from survey_sim.settings import Settings
+
+Algorithm = Literal["ideal", "cda-basic", "cda-advanced", "matching", "plan"]
+ALGORITHMS: tuple[str, ...] = get_args(Algorithm)
+
+
+class LostReason(IntEnum):
+    """Why a science target is not complete."""
+
+    NONE = 0
+    OUT_OF_REACH = 1
+    BLOCKED_BY_DEAD = 2
+    TOO_CLOSE_PAIR = 3
+    CROWDED = 4
+    LOW_PRIORITY = 5
+    NO_FIBRE_LEFT = 6
+    UNROUTED = 7
+
+    @property
+    def label(self) -> str:
+        """The code as tables spell it ("out-of-reach")."""
+        return self.name.lower().replace("_", "-")
+
+
+class AllocationSettings(Settings):
+    """How fibres are given to targets, visit by visit."""
+
+    algorithm: Algorithm = "plan"
+    # Cost of a move of d mm is d^travel_power: 4 is nearly the shortest configuration, 1 the least travel.
+    travel_power: float = Field(4.0, gt=0, le=8)
+    # Visits of a tile; None = as many as the wanted completeness needs, and no more.
+    visits: int | None = Field(None, ge=1)
+    max_visits: int = Field(100, ge=1)
+    # A further visit is worth its time only if it brings at least so many science targets.
+    min_gain: int = Field(1, ge=1)
+    # Fibres wanted in every visit besides science (TAIPAN's tiling code, 2017: 10, 20, 9).
+    wanted_standard: int = Field(10, ge=0)
+    wanted_sky: int = Field(20, ge=0)
+    wanted_guide: int = Field(9, ge=0)
+    # The least that is acceptable (TAIPAN's tiling code, 2020); met by giving up the least valuable science.
+    min_standard: int = Field(5, ge=0)
+    min_sky: int = Field(10, ge=0)
+    min_guide: int = Field(3, ge=0)
+    # Least sky fibres in each of so many equal sectors of the plate (assumed).
+    sky_regions: int = Field(6, ge=1)
+    min_sky_region: int = Field(1, ge=0)
+    # A target of priority p is worth 1 + priority_gain (p - 1) / 8 (assumed: number first, then priority).
+    priority_gain: float = Field(0.1, ge=0)
