@@ -89,11 +89,7 @@ class FieldTargets:
         _refuse("targets.wanted_visits", "less than 1", pl.Series((wanted < 1) & is_science))
         programme, programmes = _programmes(table)
         order = np.argsort(ids.to_numpy(), kind="stable")
-        mag = (
-            table["mag"].cast(pl.Float64).fill_null(np.nan).to_numpy()
-            if "mag" in table.columns
-            else np.full(len(ids), np.nan)
-        )
+        mag = table["mag"] if "mag" in table.columns else pl.Series(np.full(len(ids), np.nan))
         return cls(
             target_id=ids.cast(pl.Int64).to_numpy()[order],
             x_mm=table["x_mm"].cast(pl.Float64).to_numpy()[order],
