@@ -11,6 +11,7 @@ import numpy as np
 
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, leg_times_s
+from survey_sim.routing.coordinated import route_coordinated
 from survey_sim.routing.problem import Problem, RoutedPath, RoutingSettings, UnroutedReason, check_problem
 from survey_sim.routing.simple_vector import route_simple_vector
 
@@ -20,6 +21,7 @@ Router = Callable[[Problem, RoutingSettings, np.random.Generator], tuple[Legs, n
 
 ROUTERS: dict[str, Router] = {
     "simple-vector": lambda problem, settings, rng: route_simple_vector(problem),
+    "coordinated": route_coordinated,
 }
 
 

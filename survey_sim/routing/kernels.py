@@ -5,6 +5,8 @@ another file.
 # Kernels take flat arrays and untyped scalars, and are long where splitting them would cost calls.
 # ruff: noqa: PLR0912, PLR0917, PLW3301
 # mypy: disable-error-code="no-untyped-def"
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -84,3 +86,701 @@ def simple_vector_batches(start, goal, has_to_move, separation):
         for m in range(n_member):
             now[members[m]] = goal[members[m]]
         k += 1
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Shapes: where a robot is, straight between knots, with time counted from the start of its first leg. It stands at its
+# first knot before it and at its last knot after it.
+
+MAX_LEGS = 6
+MAX_KNOTS = 5 * MAX_LEGS + 1
+# Delays nearer than this are one: a gap this narrow between forbidden intervals is rounding, not room.
+SAME_DELAY_S = 1e-9
+
+
+class Physics(NamedTuple):
+    """Constants of the instrument that kernels need."""
+
+    coarse: float
+    precise: float
+    rotation: float
+    approach: float
+    plate_radius: float
+
+
+class Shape(NamedTuple):
+    """A plan being tried: way points, and the knots they give."""
+
+    x: np.ndarray
+    y: np.ndarray
+    turned: np.ndarray
+    wait: np.ndarray
+    kt: np.ndarray
+    kx: np.ndarray
+    ky: np.ndarray
+
+
+@njit(cache=True)
+def new_shape():
+    """An empty shape, to be written over and over."""
+    return Shape(
+        np.zeros(MAX_LEGS),
+        np.zeros(MAX_LEGS),
+        np.zeros(MAX_LEGS, dtype=np.bool_),
+        np.zeros(MAX_LEGS),
+        np.zeros(MAX_KNOTS),
+        np.zeros(MAX_KNOTS),
+        np.zeros(MAX_KNOTS),
+    )
+
+
+@njit(cache=True)
+def turn_deg(theta, ex, ey):
+    """Least turn of an axis onto the line along (ex, ey), deg (motion.turn_onto_line)."""
+    return np.mod(np.degrees(np.arctan2(ey, ex)) - theta + 45.0, 90.0) - 45.0
+
+
+@njit(cache=True)
+def leg_time(phys, theta, ex, ey, turned, is_last):
+    """Seconds of one leg, and theta after it."""
+    length = np.hypot(ex, ey)
+    turn = turn_deg(theta, ex, ey)
+    turn_s = 0.0
+    if turned:
+        turn_s = abs(turn) / phys.rotation
+        theta += turn
+    else:
+        length *= np.cos(np.radians(abs(turn))) + np.sin(np.radians(abs(turn)))
+    slow = min(phys.approach, length) if is_last else 0.0
+    return turn_s + (length - slow) / phys.coarse + slow / phys.precise, theta
+
+
+@njit(cache=True)
+def build_knots(phys, shape, n_leg, x0, y0, theta, reach_x, reach_y, reach):
+    """Knots of a shape's way points from (x0, y0); returns (n_knot, end time), n_knot 0 if a corner leaves the patrol."""
+    kt, kx, ky = shape.kt, shape.kx, shape.ky
+    kx[0], ky[0] = x0, y0
+    n, t = 1, 0.0
+    for m in range(n_leg):
+        x1, y1 = shape.x[m], shape.y[m]
+        ex, ey = x1 - x0, y1 - y0
+        if m > 0:
+            t += shape.wait[m]
+        if shape.turned[m]:
+            turn = turn_deg(theta, ex, ey)
+            theta += turn
+            t += abs(turn) / phys.rotation
+            cx, cy, a, b = x1, y1, np.hypot(ex, ey), 0.0
+        else:
+            c, s = np.cos(np.radians(theta)), np.sin(np.radians(theta))
+            along = c * ex + s * ey
+            cx, cy, a, b = x0 + c * along, y0 + s * along, abs(along), abs(c * ey - s * ex)
+            if not is_inside(phys, cx, cy, reach_x, reach_y, reach):
+                return 0, 0.0
+        if n == 1 and m == 0:
+            kt[0] = t
+        elif t > kt[n - 1]:
+            kt[n], kx[n], ky[n] = t, x0, y0
+            n += 1
+        slow_from = a + b - (min(phys.approach, a + b) if m == n_leg - 1 else 0.0)
+        if a > 0.0:
+            if 0.0 < slow_from < a:
+                t += slow_from / phys.coarse
+                kt[n], kx[n], ky[n] = t, x0 + (cx - x0) * (slow_from / a), y0 + (cy - y0) * (slow_from / a)
+                n += 1
+                t += (a - slow_from) / phys.precise
+            else:
+                t += a / (phys.coarse if slow_from >= a else phys.precise)
+            kt[n], kx[n], ky[n] = t, cx, cy
+            n += 1
+        if b > 0.0:
+            if a < slow_from < a + b:
+                t += (slow_from - a) / phys.coarse
+                f = (slow_from - a) / b
+                kt[n], kx[n], ky[n] = t, cx + (x1 - cx) * f, cy + (y1 - cy) * f
+                n += 1
+                t += (a + b - slow_from) / phys.precise
+            else:
+                t += b / (phys.precise if slow_from <= a else phys.coarse)
+            kt[n], kx[n], ky[n] = t, x1, y1
+            n += 1
+        x0, y0 = x1, y1
+    return n, t
+
+
+@njit(cache=True)
+def is_inside(phys, x, y, reach_x, reach_y, reach):
+    """Whether a centre at (x, y) is on the plate and in the patrol disc."""
+    tolerance = 1e-7
+    plate, patrol = phys.plate_radius + tolerance, reach + tolerance
+    return x * x + y * y <= plate * plate and (x - reach_x) ** 2 + (y - reach_y) ** 2 <= patrol * patrol
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Forbidden start delays. Robot i goes through its shape, started late by d; robot j keeps its own times. For one straight
+# piece of each, positions a + u s and b + w tau with (s, tau) in a box, the pairs nearer than r fill an ellipse cut by the
+# box: convex, so its projection on tau - s is one interval, found from the box's edges and the ellipse's two tangents.
+
+
+@njit(cache=True)
+def _near_span(cx, cy, vx, vy, span, r2):
+    """Interval of t in [0, span] with |c + v t| < r; empty if the first is larger."""
+    vv = vx * vx + vy * vy
+    cv = cx * vx + cy * vy
+    cc = cx * cx + cy * cy - r2
+    if vv == 0.0:
+        if cc < 0.0:
+            return 0.0, span
+        return 1.0, 0.0
+    disc = cv * cv - vv * cc
+    if disc <= 0.0:
+        return 1.0, 0.0
+    root = np.sqrt(disc)
+    return max(0.0, (-cv - root) / vv), min(span, (-cv + root) / vv)
+
+
+@njit(cache=True)
+def _near_shift(cx, cy, ux, uy, sa, wx, wy, sb, r2):
+    """Interval of tau - s over the s in [0, sa], tau in [0, sb] with |c + u s - w tau| < r; empty if the first is larger."""
+    lo, hi = np.inf, -np.inf
+    p, q = _near_span(cx, cy, -wx, -wy, sb, r2)
+    if p < q:
+        lo, hi = min(lo, p), max(hi, q)
+    p, q = _near_span(cx + ux * sa, cy + uy * sa, -wx, -wy, sb, r2)
+    if p < q:
+        lo, hi = min(lo, p - sa), max(hi, q - sa)
+    p, q = _near_span(cx, cy, ux, uy, sa, r2)
+    if p < q:
+        lo, hi = min(lo, -q), max(hi, -p)
+    p, q = _near_span(cx - wx * sb, cy - wy * sb, ux, uy, sa, r2)
+    if p < q:
+        lo, hi = min(lo, sb - q), max(hi, sb - p)
+    cross_uw = ux * wy - uy * wx
+    vx, vy = ux - wx, uy - wy
+    vv = vx * vx + vy * vy
+    if abs(cross_uw) > 1e-12 and vv > 1e-12:
+        # Shifted by delta, the offset is (c - w delta) + v s; its line passes at r where the cross product is r |v|.
+        cross_wv = wx * vy - wy * vx
+        cross_cv = cx * vy - cy * vx
+        reach = np.sqrt(r2 * vv)
+        for sign in (-1.0, 1.0):
+            delta = (cross_cv + sign * reach) / cross_wv
+            s = -((cx - wx * delta) * vx + (cy - wy * delta) * vy) / vv
+            if 0.0 <= s <= sa and 0.0 <= s + delta <= sb:
+                lo, hi = min(lo, delta), max(hi, delta)
+    return lo, hi
+
+
+@njit(cache=True)
+def _piece(kt, kx, ky, n, p):
+    """Piece p of n knots: start and end time, position, velocity, and duration; p = -1 and n - 1 are the rests."""
+    if p < 0:
+        return -np.inf, kt[0], kx[0], ky[0], 0.0, 0.0
+    if p == n - 1:
+        return kt[p], np.inf, kx[p], ky[p], 0.0, 0.0
+    span = kt[p + 1] - kt[p]
+    if span <= 0.0:
+        return kt[p], kt[p + 1], kx[p], ky[p], 0.0, 0.0
+    return kt[p], kt[p + 1], kx[p], ky[p], (kx[p + 1] - kx[p]) / span, (ky[p + 1] - ky[p]) / span
+
+
+@njit(cache=True)
+def forbidden_delays(at, ax, ay, na, bt, bx, by, nb, r, delay_max, lo, hi):
+    """Delays d in (lo, hi) that bring shape a, started d late, within r of trajectory b.
+
+    Returns how many intervals were written: disjoint, ascending, each open; only those that meet [0, delay_max].
+    """
+    r2 = r * r
+    n = 0
+    for p in range(-1, na):
+        a0, a1, px, py, ux, uy = _piece(at, ax, ay, na, p)
+        last_p = min(p + 1, na - 1)
+        first_p = max(p, 0)
+        box_x0, box_x1 = min(ax[first_p], ax[last_p]) - r, max(ax[first_p], ax[last_p]) + r
+        box_y0, box_y1 = min(ay[first_p], ay[last_p]) - r, max(ay[first_p], ay[last_p]) + r
+        is_still = ux == 0.0 and uy == 0.0
+        for q in range(-1, nb):
+            first_q, last_q = max(q, 0), min(q + 1, nb - 1)
+            if bx[first_q] < box_x0 and bx[last_q] < box_x0 or bx[first_q] > box_x1 and bx[last_q] > box_x1:
+                continue
+            if by[first_q] < box_y0 and by[last_q] < box_y0 or by[first_q] > box_y1 and by[last_q] > box_y1:
+                continue
+            b0, b1, qx, qy, wx, wy = _piece(bt, bx, by, nb, q)
+            if b1 <= a0 or b0 >= a1 + delay_max:
+                continue
+            cx, cy = px - qx, py - qy
+            if wx == 0.0 and wy == 0.0:
+                # With b at rest, a is near it while s is in [s0, s1]: b must not be there at a's time.
+                if is_still:
+                    if cx * cx + cy * cy >= r2:
+                        continue
+                    d0, d1 = b0 - a1, b1 - a0
+                else:
+                    s0, s1 = _near_span(cx, cy, ux, uy, a1 - a0, r2)
+                    if s0 >= s1:
+                        continue
+                    d0, d1 = b0 - (a0 + s1), b1 - (a0 + s0)
+            elif is_still:
+                t0, t1 = _near_span(cx, cy, -wx, -wy, b1 - b0, r2)
+                if t0 >= t1:
+                    continue
+                d0, d1 = b0 + t0 - a1, b0 + t1 - a0
+            else:
+                shift0, shift1 = _near_shift(cx, cy, ux, uy, a1 - a0, wx, wy, b1 - b0, r2)
+                if shift0 >= shift1:
+                    continue
+                d0, d1 = b0 - a0 + shift0, b0 - a0 + shift1
+            if d1 <= 0.0 or d0 >= delay_max + SAME_DELAY_S:
+                continue
+            n = _insert_interval(lo, hi, n, d0, d1)
+    return n
+
+
+@njit(cache=True)
+def _insert_interval(lo, hi, n, d0, d1):
+    """Union of n ascending disjoint intervals with (d0, d1); the last is widened if there is no room for one more."""
+    k = 0
+    while k < n and hi[k] + SAME_DELAY_S < d0:
+        k += 1
+    m = k
+    while m < n and lo[m] <= d1 + SAME_DELAY_S:
+        d0, d1 = min(d0, lo[m]), max(d1, hi[m])
+        m += 1
+    if m == k:
+        if n == len(lo):
+            # Too many to keep apart: forbid the gap as well, which is safe.
+            j = min(k, n - 1)
+            lo[j], hi[j] = min(lo[j], d0), max(hi[j], d1)
+            return n
+        for j in range(n, k, -1):
+            lo[j], hi[j] = lo[j - 1], hi[j - 1]
+        lo[k], hi[k] = d0, d1
+        return n + 1
+    lo[k], hi[k] = d0, d1
+    for j in range(m, n):
+        lo[j - m + k + 1], hi[j - m + k + 1] = lo[j], hi[j]
+    return n - (m - k) + 1
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Coordinated routing: every robot has one plan (way points, waits, a start delay); pairs that come too near are conflicts;
+# robots in conflict are planned again, one at a time, for the least weight of conflicts.
+
+MAX_INTERVALS = 12
+MAX_EVENTS = 1024
+# Weight of a conflict with a robot that cannot move.
+WEIGHT_FIXED = 1e6
+# Two plans conflict below the planned separation less this, so that a plan that just touches does not.
+TOUCH_MM = 1e-8
+
+
+class Plans(NamedTuple):
+    """The problem, and the plan of every robot with the conflicts between them."""
+
+    start: np.ndarray
+    theta: np.ndarray
+    goal: np.ndarray
+    park: np.ndarray
+    reach: np.ndarray
+    is_free: np.ndarray
+    alone: np.ndarray
+    n_leg: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    turned: np.ndarray
+    wait: np.ndarray
+    n_knot: np.ndarray
+    kt: np.ndarray
+    kx: np.ndarray
+    ky: np.ndarray
+    box: np.ndarray
+    conflict: np.ndarray
+    n_conflict: np.ndarray
+    weight: np.ndarray
+
+
+@njit(cache=True)
+def new_plans(start, theta, goal, park, reach, is_free, alone):
+    """Plans in which nobody moves yet."""
+    n = len(start)
+    plans = Plans(
+        start,
+        theta,
+        goal,
+        park,
+        reach,
+        is_free,
+        alone,
+        np.zeros(n, dtype=np.int64),
+        np.zeros((n, MAX_LEGS)),
+        np.zeros((n, MAX_LEGS)),
+        np.zeros((n, MAX_LEGS), dtype=np.bool_),
+        np.zeros((n, MAX_LEGS)),
+        np.ones(n, dtype=np.int64),
+        np.zeros((n, MAX_KNOTS)),
+        np.zeros((n, MAX_KNOTS)),
+        np.zeros((n, MAX_KNOTS)),
+        np.zeros((n, 4)),
+        np.zeros((n, n), dtype=np.bool_),
+        np.zeros(n, dtype=np.int64),
+        np.ones((n, n), dtype=np.float32),
+    )
+    plans.kx[:, 0] = start[:, 0]
+    plans.ky[:, 0] = start[:, 1]
+    for i in range(n):
+        plans.box[i, 0] = plans.box[i, 1] = start[i, 0]
+        plans.box[i, 2] = plans.box[i, 3] = start[i, 1]
+    return plans
+
+
+@njit(cache=True)
+def pair_radius(plans, i, j, separation, margin):
+    """Separation to plan for a pair: with the margin, as far as their starts and goals allow."""
+    if margin == 0.0:
+        return separation
+    starts = np.hypot(plans.start[i, 0] - plans.start[j, 0], plans.start[i, 1] - plans.start[j, 1])
+    goals = np.hypot(plans.goal[i, 0] - plans.goal[j, 0], plans.goal[i, 1] - plans.goal[j, 1])
+    return max(separation, min(separation + margin, min(starts, goals)))
+
+
+@njit(cache=True)
+def is_near(plans, i, j, r):
+    """Whether two plans come nearer than r."""
+    r2 = (r - TOUCH_MM) ** 2
+    ti, xi, yi, tj, xj, yj = plans.kt[i], plans.kx[i], plans.ky[i], plans.kt[j], plans.kx[j], plans.ky[j]
+    a, b, a_last, b_last = 0, 0, plans.n_knot[i] - 1, plans.n_knot[j] - 1
+    ex, ey = xi[0] - xj[0], yi[0] - yj[0]
+    if ex * ex + ey * ey < r2:
+        return True
+    # From the first knot of either on; the other stands until its own.
+    a, b = -1, -1
+    while a < a_last or b < b_last:
+        ta = ti[a + 1] if a < a_last else np.inf
+        tb = tj[b + 1] if b < b_last else np.inf
+        event = min(ta, tb)
+        fx = _coordinate(ti, xi, a, a_last, event) - _coordinate(tj, xj, b, b_last, event)
+        fy = _coordinate(ti, yi, a, a_last, event) - _coordinate(tj, yj, b, b_last, event)
+        ux, uy = fx - ex, fy - ey
+        uu = ux * ux + uy * uy
+        s = 1.0
+        if uu > 0.0:
+            s = min(1.0, max(0.0, -(ex * ux + ey * uy) / uu))
+        gx, gy = ex + s * ux, ey + s * uy
+        if gx * gx + gy * gy < r2:
+            return True
+        ex, ey = fx, fy
+        if ta <= event:
+            a += 1
+        if tb <= event:
+            b += 1
+    return False
+
+
+@njit(cache=True)
+def _coordinate(t, z, k, last, when):
+    """Coordinate at `when`, between knots k and k + 1; -1 and `last` are the rests."""
+    if k < 0:
+        return z[0]
+    if k >= last or when <= t[k]:
+        return z[min(k, last)]
+    if when >= t[k + 1]:
+        return z[k + 1]
+    return z[k] + (z[k + 1] - z[k]) * ((when - t[k]) / (t[k + 1] - t[k]))
+
+
+@njit(cache=True)
+def _boxes_apart(box, i, j, r):
+    return box[i, 0] > box[j, 1] + r or box[j, 0] > box[i, 1] + r or box[i, 2] > box[j, 3] + r or box[j, 2] > box[i, 3] + r
+
+
+@njit(cache=True)
+def set_plan(plans, i, shape, n_leg, n_knot, delay, separation, margin):
+    """Give robot i the shape, started after `delay`, and find its conflicts."""
+    plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
+    for m in range(n_leg):
+        plans.x[i, m], plans.y[i, m] = shape.x[m], shape.y[m]
+        plans.turned[i, m] = shape.turned[m]
+        plans.wait[i, m] = shape.wait[m] if m > 0 else delay
+    box = plans.box[i]
+    box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
+    for k in range(n_knot):
+        x, y = shape.kx[k], shape.ky[k]
+        plans.kt[i, k], plans.kx[i, k], plans.ky[i, k] = shape.kt[k] + delay, x, y
+        box[0], box[1], box[2], box[3] = min(box[0], x), max(box[1], x), min(box[2], y), max(box[3], y)
+    find_conflicts(plans, i, len(plans.start), separation, margin)
+
+
+@njit(cache=True)
+def find_conflicts(plans, i, n, separation, margin):
+    """Conflicts of robot i with the robots before n."""
+    for j in range(n):
+        if j == i:
+            continue
+        r = pair_radius(plans, i, j, separation, margin)
+        now = not _boxes_apart(plans.box, i, j, r) and is_near(plans, i, j, r)
+        if now != plans.conflict[i, j]:
+            plans.conflict[i, j] = plans.conflict[j, i] = now
+            step = 1 if now else -1
+            plans.n_conflict[i] += step
+            plans.n_conflict[j] += step
+
+
+class Events(NamedTuple):
+    """Forbidden intervals of one shape against everybody, and room for those of one pair."""
+
+    lo: np.ndarray
+    hi: np.ndarray
+    weight: np.ndarray
+    pair_lo: np.ndarray
+    pair_hi: np.ndarray
+
+
+@njit(cache=True)
+def new_events():
+    """Room for the intervals of one shape."""
+    return Events(
+        np.empty(MAX_EVENTS), np.empty(MAX_EVENTS), np.empty(MAX_EVENTS), np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
+    )
+
+
+@njit(cache=True)
+def best_delay(plans, i, shape, n_knot, delay_max, separation, margin, limit, events):
+    """Least weight of conflicts over all start delays of a shape, and the earliest delay that has it.
+
+    Gives up with infinite weight once no delay can be below `limit`.
+    """
+    x0, x1 = shape.kx[:n_knot].min(), shape.kx[:n_knot].max()
+    y0, y1 = shape.ky[:n_knot].min(), shape.ky[:n_knot].max()
+    n_event = 0
+    always = 0.0
+    for j in range(len(plans.start)):
+        if j == i:
+            continue
+        r = separation + margin
+        if plans.box[j, 0] > x1 + r or plans.box[j, 1] < x0 - r or plans.box[j, 2] > y1 + r or plans.box[j, 3] < y0 - r:
+            continue
+        r = pair_radius(plans, i, j, separation, margin)
+        m = forbidden_delays(
+            shape.kt, shape.kx, shape.ky, n_knot,
+            plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j],
+            r, delay_max, events.pair_lo, events.pair_hi,
+        )  # fmt: skip
+        weight = plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED
+        for k in range(m):
+            if events.pair_lo[k] < 0.0 and events.pair_hi[k] > delay_max:
+                always += weight
+                if always >= limit:
+                    return np.inf, 0.0
+            elif n_event < MAX_EVENTS:
+                events.lo[n_event], events.hi[n_event], events.weight[n_event] = events.pair_lo[k], events.pair_hi[k], weight
+                n_event += 1
+    least, best = np.inf, 0.0
+    for c in range(-1, n_event):
+        delay = 0.0 if c < 0 else events.hi[c]
+        if delay > delay_max:
+            continue
+        total = always
+        for k in range(n_event):
+            if events.lo[k] < delay - 1e-12 and delay + 1e-12 < events.hi[k]:
+                total += events.weight[k]
+                if total > least:
+                    break
+            elif c < 0 and events.lo[k] <= 0.0 < events.hi[k]:
+                total += events.weight[k]
+        if total < least or (total == least and delay < best):
+            least, best = total, delay
+    if least >= limit:
+        return np.inf, 0.0
+    return least, best
+
+
+@njit(cache=True)
+def direct_shape(phys, plans, i, option, shape):
+    """Way points of a plan without detour: 0 turned, 1 x then y, 2 y then x; returns (n_leg, n_knot, time)."""
+    x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
+    n_leg = 1
+    if x0 == x1 and y0 == y1:
+        shape.kt[0], shape.kx[0], shape.ky[0] = 0.0, x0, y0
+        return 0, 1, 0.0
+    shape.x[0], shape.y[0], shape.turned[0], shape.wait[0] = x1, y1, option == 0, 0.0
+    if option == 2:
+        c, s = np.cos(np.radians(plans.theta[i])), np.sin(np.radians(plans.theta[i]))
+        across = c * (y1 - y0) - s * (x1 - x0)
+        shape.x[0], shape.y[0] = x0 - s * across, y0 + c * across
+        shape.x[1], shape.y[1], shape.turned[1], shape.wait[1] = x1, y1, False, 0.0
+        n_leg = 2
+        if not is_inside(phys, shape.x[0], shape.y[0], plans.park[i, 0], plans.park[i, 1], plans.reach[i]):
+            return 0, 0, 0.0
+    n_knot, t = build_knots(phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i])
+    return n_leg, n_knot, t
+
+
+@njit(cache=True)
+def _set_way(phys, plans, i, m, x, y, shape):
+    """Way point m, unless it is out of reach."""
+    shape.x[m], shape.y[m], shape.wait[m] = x, y, 0.0
+    return is_inside(phys, x, y, plans.park[i, 0], plans.park[i, 1], plans.reach[i])
+
+
+@njit(cache=True)
+def sample_shape(phys, plans, rng, i, duration, shape):
+    """A random detour: past the line, aside near the start or the goal, or two way points; (n_leg, n_knot, time)."""
+    x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
+    ex, ey = x1 - x0, y1 - y0
+    length = np.hypot(ex, ey)
+    spare = max(0.0, (duration - plans.alone[i]) * phys.coarse)
+    aside = min(25.0, np.sqrt((length + spare) ** 2 - length * length) / 2)
+    kind = rng.random()
+    n_via = 1
+    if length == 0.0 or kind < 0.25:
+        angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
+        ok = _set_way(phys, plans, i, 0, x0 + far * np.cos(angle), y0 + far * np.sin(angle), shape)
+    elif kind < 0.5:
+        angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
+        ok = _set_way(phys, plans, i, 0, x1 + far * np.cos(angle), y1 + far * np.sin(angle), shape)
+    elif kind < 0.85:
+        f, h = rng.random(), aside * (2.0 * rng.random() - 1.0) / length
+        ok = _set_way(phys, plans, i, 0, x0 + f * ex - h * ey, y0 + f * ey + h * ex, shape)
+    else:
+        n_via = 2
+        f0, f1 = rng.random(), rng.random()
+        f0, f1 = min(f0, f1), max(f0, f1)
+        h = aside * (2.0 * rng.random() - 1.0) / length
+        ok = _set_way(phys, plans, i, 0, x0 + f0 * ex - h * ey, y0 + f0 * ey + h * ex, shape)
+        h = aside * (2.0 * rng.random() - 1.0) / length
+        ok = ok and _set_way(phys, plans, i, 1, x0 + f1 * ex - h * ey, y0 + f1 * ey + h * ex, shape)
+    if not ok:
+        return 0, 0, 0.0
+    _set_way(phys, plans, i, n_via, x1, y1, shape)
+    n_leg = n_via + 1
+    theta, total, px, py = plans.theta[i], 0.0, x0, y0
+    for m in range(n_leg):
+        ex, ey = shape.x[m] - px, shape.y[m] - py
+        turned_s, turned_theta = leg_time(phys, theta, ex, ey, True, m == n_leg - 1)
+        square_s, _ = leg_time(phys, theta, ex, ey, False, m == n_leg - 1)
+        shape.turned[m] = (turned_s < square_s) != (rng.random() < 0.15)
+        if shape.turned[m]:
+            theta = turned_theta
+        total += turned_s if shape.turned[m] else square_s
+        px, py = shape.x[m], shape.y[m]
+    if total > duration:
+        return 0, 0, 0.0
+    if rng.random() < 0.5 or length == 0.0:
+        shape.wait[1 + int(rng.random() * n_via)] = (duration - total) * rng.random()
+    n_knot, t = build_knots(phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i])
+    return n_leg, n_knot, t
+
+
+@njit(cache=True)
+def replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events):
+    """Plan robot i again: the direct shapes, then sampled detours, for the least weight of conflicts within `duration`."""
+    least, best_legs, best_knots, delay = np.inf, -1, 0, 0.0
+    for option in range(3 + n_sample):
+        if option < 3:
+            n_leg, n_knot, t = direct_shape(phys, plans, i, option, shape)
+        else:
+            n_leg, n_knot, t = sample_shape(phys, plans, rng, i, duration, shape)
+        if n_knot == 0 or t > duration + SAME_DELAY_S:
+            continue
+        delay_max = max(0.0, duration - t)
+        score, d = best_delay(plans, i, shape, n_knot, delay_max, separation, margin, least, events)
+        if score < least:
+            least, best_legs, best_knots, delay = score, n_leg, n_knot, d
+            _copy_shape(shape, best, n_leg, n_knot)
+            if score == 0.0:
+                break
+        if n_leg == 0 and option == 0 and n_sample == 0:
+            break
+    if best_legs >= 0:
+        set_plan(plans, i, best, best_legs, best_knots, delay, separation, margin)
+    return least
+
+
+@njit(cache=True)
+def _copy_shape(source, target, n_leg, n_knot):
+    for m in range(n_leg):
+        target.x[m], target.y[m] = source.x[m], source.y[m]
+        target.turned[m], target.wait[m] = source.turned[m], source.wait[m]
+    for k in range(n_knot):
+        target.kt[k], target.kx[k], target.ky[k] = source.kt[k], source.kx[k], source.ky[k]
+
+
+@njit(cache=True)
+def start_directly(phys, plans, separation, margin):
+    """Everybody by the quicker direct shape, at once."""
+    shape, other = new_shape(), new_shape()
+    for i in range(len(plans.start)):
+        n_leg, n_knot, t = direct_shape(phys, plans, i, 0, shape)
+        n_leg1, n_knot1, t1 = direct_shape(phys, plans, i, 1, other)
+        chosen = shape
+        if n_knot1 > 0 and t1 < t:
+            chosen, n_leg, n_knot = other, n_leg1, n_knot1
+        plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
+        set_plan_alone(plans, i, chosen, n_leg, n_knot)
+        find_conflicts(plans, i, i, separation, margin)
+
+
+@njit(cache=True)
+def set_plan_alone(plans, i, shape, n_leg, n_knot):
+    """Give robot i the shape, started at once, without looking for conflicts."""
+    plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
+    for m in range(n_leg):
+        plans.x[i, m], plans.y[i, m] = shape.x[m], shape.y[m]
+        plans.turned[i, m], plans.wait[i, m] = shape.turned[m], shape.wait[m]
+    plans.kt[i, :n_knot], plans.kx[i, :n_knot], plans.ky[i, :n_knot] = (
+        shape.kt[:n_knot],
+        shape.kx[:n_knot],
+        shape.ky[:n_knot],
+    )
+    plans.box[i, 0], plans.box[i, 1] = shape.kx[:n_knot].min(), shape.kx[:n_knot].max()
+    plans.box[i, 2], plans.box[i, 3] = shape.ky[:n_knot].min(), shape.ky[:n_knot].max()
+
+
+@njit(cache=True)
+def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
+    """Plan robots in conflict again until none is, or the steps are used up; returns the number of robots in conflict."""
+    n = len(plans.start)
+    shape, best, events = new_shape(), new_shape(), new_events()
+    # Robots with most time to spare first: they have most delays to choose from.
+    order = np.argsort(plans.alone)
+    for _ in range(2):
+        for i in order:
+            if plans.n_conflict[i] > 0 and plans.is_free[i]:
+                replan(phys, plans, rng, i, duration, 0, separation, margin, shape, best, events)
+    for _ in range(n_step):
+        i, n_seen = -1, 0
+        for k in range(n):
+            if plans.n_conflict[k] > 0 and plans.is_free[k]:
+                n_seen += 1
+                if rng.random() * n_seen < 1.0:
+                    i = k
+        if i < 0:
+            break
+        before = 0.0
+        for j in range(n):
+            if plans.conflict[i, j]:
+                before += plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED
+        after = replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events)
+        if after >= before:
+            for j in range(n):
+                if plans.conflict[i, j]:
+                    plans.weight[i, j] += 1.0
+                    plans.weight[j, i] += 1.0
+    return (plans.n_conflict > 0).sum()
+
+
+@njit(cache=True)
+def leg_starts(phys, plans):
+    """(n, MAX_LEGS) when each leg of each plan starts, s."""
+    n = len(plans.start)
+    start_s = np.zeros((n, MAX_LEGS))
+    for i in range(n):
+        t, theta, x, y = 0.0, plans.theta[i], plans.start[i, 0], plans.start[i, 1]
+        for m in range(plans.n_leg[i]):
+            t += plans.wait[i, m]
+            start_s[i, m] = t
+            is_last = m == plans.n_leg[i] - 1
+            took, theta = leg_time(phys, theta, plans.x[i, m] - x, plans.y[i, m] - y, plans.turned[i, m], is_last)
+            t += took
+            x, y = plans.x[i, m], plans.y[i, m]
+    return start_s
