@@ -102,7 +102,7 @@ def _count(name: str, what: str) -> Column:
 
 
 def _frac(name: str, what: str, *, is_nullable: bool = False) -> Column:
-    return Column(name, FLOAT, "", "arith.ratio", what, is_nullable)
+    return Column(name, FLOAT, "", "stat.value", what, is_nullable)
 
 
 _VISIT_KEY = ("survey", "tile_id", "visit_id")
@@ -304,6 +304,19 @@ _TABLES = (
         key=(*_VISIT_KEY, "path", "robot_id"),
         order=(*_VISIT_KEY, "path", "robot_id"),
         is_in_parts=True,
+    ),
+    Table(
+        "unallocated",
+        "a science target that allocation did not complete",
+        (
+            TARGET_ID,
+            SURVEY,
+            TILE_ID,
+            Column("n_allocated", INT16, "", "meta.number;obs", "visits in which a robot reached it"),
+            Column("reason", TEXT, "", "meta.code.error", "why it did not get all its wanted visits"),
+        ),
+        key=("target_id",),
+        order=("target_id",),
     ),
     Table(
         "exposures",

@@ -5,8 +5,7 @@ robot_times). Files are written to a temporary folder beside them, flushed, and 
 """
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from io import BytesIO
@@ -24,6 +23,7 @@ _VOPARQUET_VERSION = b"IVOA.VOTable-Parquet.version"
 _VOPARQUET_CONTENT = b"IVOA.VOTable-Parquet.content"
 _SCHEMA_VERSION = b"survey_sim.schema_version"
 _ROW_GROUP = 262_144
+TEMPORARY = ".tmp"
 
 _VOTABLE_TYPE = {
     pl.Int8: "short",
@@ -68,38 +68,55 @@ def conform(frame: pl.DataFrame, table: str) -> pl.DataFrame:
     return typed.sort(declared.order)
 
 
-def write(frame: pl.DataFrame, table: str, path: Path) -> str:
-    """Write a table's file (or part), whole or not at all; gives the SHA-256 of its bytes."""
+def encode(frame: pl.DataFrame, table: str) -> bytes:
+    """A table's Parquet file, as bytes: the same rows give the same bytes."""
     typed = conform(frame, table)
     data = typed.to_arrow(compat_level=pl.CompatLevel.oldest())
     data = pa.table(data.columns, schema=_arrow_schema(table, tuple(typed.columns), _text_lengths(typed)))
     buffer = BytesIO()
     pq.write_table(data, buffer, compression="zstd", row_group_size=_ROW_GROUP)
-    content = buffer.getvalue()
-    write_bytes(content, path)
-    return sha256(content).hexdigest()
+    return buffer.getvalue()
 
 
-def write_bytes(content: bytes, path: Path) -> None:
-    """Write a file through a temporary one in a `.tmp` folder beside the run's tables, flush it, and rename it."""
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(content)
+def write(frame: pl.DataFrame, table: str, path: Path) -> None:
+    """Write a table's file (or part), whole or not at all."""
+    write_bytes(encode(frame, table), path)
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path whose file becomes `path` when the block ends well, and goes away when it does not."""
-    folder = path.parent.parent / ".tmp"
-    folder.mkdir(parents=True, exist_ok=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = folder / f"{path.parent.name}-{path.name}.{os.getpid()}"
+def write_bytes(content: bytes, path: Path, aside: Path | None = None) -> None:
+    """Write a file whole or not at all: into a hidden temporary file, flushed, then renamed.
+
+    Parameters
+    ----------
+    aside
+        Folder of the temporary file, on the same disk; the file's own by default. Parts of a table give the folder above,
+        so that who scans the table never sees a file that is not a part.
+
+    Raises
+    ------
+    InputError
+        The disk is full or the place cannot be written; nothing is left behind.
+    """
+    temporary = (aside or path.parent) / f".{path.name}.{os.getpid()}{TEMPORARY}"
     try:
-        yield temporary
-        with temporary.open("rb") as file:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as failure:
+        rule = f"cannot be written: {failure.strerror or failure}"
+        raise InputError(rule, file=path, remedy="free space or choose another --out; what is done is kept") from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def clean_up(folder: Path) -> None:
+    """Remove temporary files that a killed process left in a run's folder."""
+    for stray in [*folder.glob(f".*{TEMPORARY}"), *folder.glob(f".state/**/.*{TEMPORARY}")]:
+        stray.unlink(missing_ok=True)
 
 
 def files(run_dir: Path, table: str) -> list[Path]:

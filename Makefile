@@ -1,0 +1,52 @@
+# survey-sim: `make` installs and runs the demo, `make test` installs and runs the tests.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+WORKERS ?=
+
+.DEFAULT_GOAL := demo
+.PHONY: demo test lint bench docs catalogues survey soak clean help
+
+demo: $(VENV)/.installed  ## install, and run pipelines/demo.toml into runs/demo (the default)
+	$(BIN)/survey-sim run pipelines/demo.toml $(if $(WORKERS),--workers $(WORKERS))
+
+test: $(VENV)/.dev  ## install what the tests need, and run them
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest
+
+lint: $(VENV)/.dev  ## style, types and the rooms' import directions
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.dev  ## benchmarks of kernels and stages, as ratios to a yardstick of the same run
+	$(BIN)/pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,max,rounds
+
+docs: $(VENV)/.installed  ## write docs/data-model.md from the schema
+	$(BIN)/python -m survey_sim.survey.docs docs/data-model.md
+
+catalogues: $(VENV)/.installed  ## make the mock catalogues in the cache, and check all cards
+	$(BIN)/survey-sim catalogue make taipan-mock
+	$(BIN)/survey-sim catalogue list
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+clean:  ## remove the environment, runs and caches
+	rm -rf $(VENV) runs .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit("survey-sim needs Python 3.11 or later" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/.dev: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@

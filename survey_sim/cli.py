@@ -1,0 +1,167 @@
+"""The command line: parses, calls one function of `survey`, prints. Heavy libraries are imported where they are used."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+import typer.core
+
+from survey_sim.errors import InputError
+
+INTERRUPTED = 130
+BAD_INPUT = 2
+
+
+class Commands(typer.core.TyperGroup):
+    """Commands whose errors become one readable block on stderr and an exit code."""
+
+    def invoke(self, ctx: typer.Context) -> Any:
+        """Run the command that was named."""
+        try:
+            return super().invoke(ctx)
+        except InputError as failure:
+            _fail(str(failure), BAD_INPUT)
+        except KeyboardInterrupt:
+            _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Batch simulator for whole surveys with Starbug fibre robots: from catalogue to routed visits, schedule and report.",
+)
+catalogue_app = typer.Typer(no_args_is_help=True, help="Catalogues: what there is, whether it is sound, and mocks.")
+app.add_typer(catalogue_app, name="catalogue")
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run, such as runs/demo.", show_default=False)]
+
+
+@app.command()
+def run(
+    pipeline: Annotated[
+        Path, typer.Argument(metavar="PIPELINE.toml", help="Pipeline file, or the name of one that is shipped (demo).")
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder of the run; runs/<name> by default.")] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: section.key=value. May be repeated."),
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this machine; one a core by default.")] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use the dask cluster of this scheduler.")] = None,
+    serial: Annotated[bool, typer.Option("--serial", help="Do everything in this process.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List the stages and why each would run; write nothing.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a whole pipeline, or what is out of date of it."""
+    from survey_sim.folders import find_pipeline
+    from survey_sim.survey.batches import Workers
+    from survey_sim.survey.engine import plan_stages, run_stages
+    from survey_sim.survey.run import open_run
+
+    if sum([workers is not None, scheduler is not None, serial]) > 1:
+        raise InputError("exclude each other", place="--workers, --scheduler, --serial", remedy="give one of them")
+    n_worker = 0 if serial else workers or len(os.sched_getaffinity(0))
+    console = _console(quiet)
+    opened = open_run(find_pipeline(pipeline), Workers(n_worker, scheduler), out, tuple(change or ()), console)
+    if dry_run:
+        for name, reasons in plan_stages(opened):
+            typer.echo(f"{name}: {'; '.join(reasons) or 'up to date'}")
+        return
+    with opened.locked():
+        opened.record_settings()
+        run_stages(opened)
+    console.print(f"done: [bold]{opened.folder}[/bold]")
+    console.print(f"  look at  {opened.folder / 'report' / 'index.html'}")
+    console.print(f"  prove it survey-sim check {opened.folder}")
+
+
+@app.command()
+def report(run_dir: RunDir, quiet: Quiet = False) -> None:
+    """Draw the figures and the page of a finished run again."""
+    from survey_sim.survey.report import make_report
+
+    page = make_report(run_dir)
+    _console(quiet).print(f"report: {page}")
+
+
+@app.command()
+def check(run_dir: RunDir, quiet: Quiet = False) -> None:
+    """Prove every allocation and every leg again from the tables alone; exit 1 with the rows if anything is wrong."""
+    from survey_sim.survey.proof import prove
+
+    if not prove(run_dir, _console(quiet)):
+        raise typer.Exit(1)
+
+
+@catalogue_app.command("list")
+def catalogue_list() -> None:
+    """List the catalogues that pipelines can name."""
+    from survey_sim.catalogue import list_cards
+    from survey_sim.folders import data_folder
+
+    for card in list_cards(data_folder("catalogues")):
+        typer.echo(f"{card.name:16} {card.title} ({card.licence})")
+
+
+@catalogue_app.command("check")
+def catalogue_check(
+    card: Annotated[str, typer.Argument(metavar="CARD", help="Name of a catalogue, or the path of a card.")],
+) -> None:
+    """Read a catalogue through its card and say what it holds, or what is wrong with it."""
+    from survey_sim.catalogue import check_catalogue
+    from survey_sim.folders import data_folder
+
+    _echo_items(check_catalogue(card, data_folder("catalogues")))
+
+
+@catalogue_app.command("make")
+def catalogue_make(
+    card: Annotated[str, typer.Argument(metavar="CARD", help="Name of a mock's card, such as taipan-mock.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the mock.")] = 1,
+    out: Annotated[Path | None, typer.Option(help="File to write; the cache by default.")] = None,
+) -> None:
+    """Make a mock catalogue from its recipe."""
+    from survey_sim.catalogue import make_catalogue
+    from survey_sim.folders import data_folder
+
+    _echo_items(make_catalogue(card, data_folder("catalogues"), seed, out))
+
+
+def main() -> None:
+    """Entry point."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    app()
+
+
+def _interrupt(signum: int, frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _echo_items(items: dict[str, Any]) -> None:
+    for key, value in items.items():
+        typer.echo(f"{key:24} {value}")
+
+
+def _console(quiet: bool) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=True, quiet=quiet, highlight=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""Runs the stages that are out of date. Contents of files, settings and code decide, not dates.
+
+doit decides and remembers; the tasks stand in `pipelines/dodo.py`. The memory is saved after every stage. A stage that was
+killed, or that the memory lost, runs again from its whole parts.
+"""
+
+from __future__ import annotations
+
+import json
+import runpy
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from doit.dependency import DatabaseException, Dependency, SqliteDB
+from doit.task import Task, dict_to_task
+
+from survey_sim.folders import data_folder
+from survey_sim.survey.run import Run
+
+
+class Unchanged:
+    """doit's `uptodate` check that named values are what they were when the task last succeeded.
+
+    Parameters
+    ----------
+    what
+        What the values are ("settings", "code"), for the reason given.
+    values
+        Plain values; the check also tells which of them changed.
+    """
+
+    def __init__(self, what: str, values: Mapping[str, Any]) -> None:
+        self.what = what
+        self.digests = {key: _digest(value) for key, value in flatten(values).items()}
+        self.changed: list[str] = []
+
+    def configure_task(self, task: Task) -> None:
+        """Called by doit: what to remember when the task succeeds."""
+        task.value_savers.append(lambda: {self.what: self.digests})
+
+    def __call__(self, task: Task, values: Mapping[str, Any]) -> bool:
+        """Whether nothing changed since the remembered values; called by doit."""
+        before = values.get(self.what)
+        if before is None:
+            return False
+        self.changed = sorted(key for key in {*before, *self.digests} if before.get(key) != self.digests.get(key))
+        return not self.changed
+
+    def reason(self) -> str:
+        """Why the check failed, in words."""
+        if not self.changed or self.what != "settings":
+            return f"{self.what} changed"
+        shown = ", ".join(self.changed[:4])
+        return f"settings changed: {shown}" + (f" and {len(self.changed) - 4} more" if len(self.changed) > 4 else "")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage as a make-style task.
+
+    Attributes
+    ----------
+    action
+        What it does; may give CPU seconds spent elsewhere as `{"cpu_s": ...}`.
+    needs, makes
+        Files it reads, whose contents count, and files it writes.
+    unchanged
+        Values that count.
+    is_whole
+        Whether what it made, besides `makes`, is still as it was.
+    """
+
+    name: str
+    action: Callable[[Run], Mapping[str, float] | None]
+    needs: tuple[Path, ...]
+    makes: tuple[Path, ...]
+    unchanged: tuple[Unchanged, ...]
+    is_whole: Callable[[], bool] = field(default=lambda: True)
+
+    def task(self) -> Task:
+        """The stage as doit sees it."""
+        return dict_to_task(
+            {
+                "name": self.name,
+                "actions": None,
+                "file_dep": [str(path) for path in self.needs],
+                "targets": [str(path) for path in self.makes],
+                "uptodate": [*self.unchanged, self.is_whole],
+            }
+        )
+
+
+def run_stages(run: Run) -> None:
+    """Run every stage that is out of date, in order, and note its time in run.json."""
+    for stage in load_stages(run):
+        reasons, task = _status(run, stage)
+        if not reasons:
+            run.console.print(f"[dim]{stage.name}: up to date[/dim]")
+            continue
+        run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
+        with run.timed(stage.name) as spent:
+            elsewhere = stage.action(run) or {}
+            spent["cpu_s"] += elsewhere.get("cpu_s", 0.0)
+        task.save_extra_values()
+        with _memory(run) as memory:
+            memory.save_success(task)
+
+
+def plan_stages(run: Run) -> Iterator[tuple[str, list[str]]]:
+    """Name of every stage with the reasons why it would run; none if it is up to date. Nothing is written."""
+    remade: set[Path] = set()
+    for stage in load_stages(run):
+        reasons = _status(run, stage)[0] if run.state.is_dir() else ["never run"]
+        waits_for = remade & set(stage.needs)
+        if waits_for:
+            reasons = [reason for reason in reasons if "changed: " not in reason or reason.startswith("settings")]
+            reasons = reasons or ["an earlier stage remakes what it needs"]
+        remade |= set(stage.makes) if reasons else set()
+        yield stage.name, reasons
+
+
+def load_stages(run: Run) -> list[Stage]:
+    """The stages of a run, from the task file."""
+    return list(runpy.run_path(str(data_folder("pipelines") / "dodo.py"))["make_stages"](run))
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as one level, keys joined by dots."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _status(run: Run, stage: Stage) -> tuple[list[str], Task]:
+    """Why a stage is out of date, in words (nothing if it is not), and its task."""
+    absent = [path.name for path in stage.needs if not path.exists()]
+    task = stage.task()
+    if absent:
+        return [f"not made yet: {', '.join(absent)}"], task
+    with _memory(run) as memory:
+        status = memory.get_status(task, {}, get_log=True)
+        is_known = memory.get_values(stage.name) != {}
+    if status.status == "up-to-date":
+        return [], task
+    if not is_known:
+        return ["never finished"], task
+    return list(_reasons(stage, status.reasons)), task
+
+
+def _reasons(stage: Stage, found: Mapping[str, Any]) -> Iterator[str]:
+    """doit's reasons, in words."""
+    for check, *_ in found.get("uptodate_false", []):
+        yield check.reason() if isinstance(check, Unchanged) else "a part is absent or damaged"
+    for key, words in (("changed_file_dep", "changed"), ("missing_target", "absent")):
+        if found.get(key):
+            yield f"{words}: {', '.join(sorted(Path(name).name for name in found[key]))}"
+    if found.get("added_file_dep") or found.get("removed_file_dep"):
+        yield "needs other files"
+
+
+@contextmanager
+def _memory(run: Run) -> Iterator[Dependency]:
+    """doit's memory, saved when the block ends; one that cannot be read is begun anew."""
+    path = run.state / "engine.db"
+    try:
+        memory = Dependency(SqliteDB, str(path))
+    except (DatabaseException, sqlite3.DatabaseError):
+        path.unlink(missing_ok=True)
+        memory = Dependency(SqliteDB, str(path))
+    yield memory
+    memory.close()
+
+
+def _digest(value: Any) -> str:
+    return sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,0 +1,153 @@
+"""One run: its folder, its settings, its lock, and the record that it keeps in run.json."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any
+
+from rich.console import Console
+
+from survey_sim import __version__, tables
+from survey_sim.errors import InputError
+from survey_sim.folders import PACKAGE
+from survey_sim.instrument import Instrument, Plate
+from survey_sim.schema import SCHEMA_VERSION
+from survey_sim.survey.batches import Workers
+from survey_sim.survey.settings import PipelineSettings, load_pipeline
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of one pipeline.
+
+    Attributes
+    ----------
+    folder
+        Where its tables go.
+    pipeline
+        The TOML file that it was read from; files that it names are looked for beside it.
+    """
+
+    folder: Path
+    pipeline: Path
+    settings: PipelineSettings
+    workers: Workers
+    console: Console = field(default_factory=lambda: Console(stderr=True, quiet=True))
+
+    @property
+    def state(self) -> Path:
+        """Folder of what a run needs to go on, which is no table: manifests of parts, the engine's memory, the lock."""
+        return self.folder / ".state"
+
+    @property
+    def plate(self) -> Plate:
+        """The robots."""
+        return self.settings.plate(self.pipeline.parent)
+
+    @property
+    def instrument(self) -> Instrument:
+        """The instrument."""
+        return self.settings.instrument.load(self.pipeline.parent)
+
+    def table(self, name: str) -> Path:
+        """File or folder of a table."""
+        return self.folder / (name if tables.TABLES[name].is_in_parts else f"{name}.parquet")
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other runs out of the folder; the system drops the lock when the process ends, however it ends."""
+        try:
+            self.state.mkdir(parents=True, exist_ok=True)
+            with (self.state / "lock").open("w") as file:
+                _lock(file, self.folder)
+                tables.clean_up(self.folder)
+                yield
+        except PermissionError as failure:
+            raise InputError("cannot be written", file=failure.filename, remedy="choose another --out") from None
+
+    def record(self, **entries: Any) -> None:
+        """Set entries of run.json; entries that are mappings are merged."""
+        path = self.folder / "run.json"
+        known = read_record(self.folder) if path.is_file() else {}
+        for key, value in entries.items():
+            known[key] = {**known.get(key, {}), **value} if isinstance(value, Mapping) else value
+        tables.write_bytes((json.dumps(known, indent=2, sort_keys=True) + "\n").encode(), path)
+
+    def record_settings(self) -> None:
+        """Start run.json: everything that the run depends on, so that a reader needs nothing else."""
+        settings = self.settings.model_dump(mode="json")
+        header = {"package": "survey-sim", "version": __version__, "schema_version": SCHEMA_VERSION}
+        path = self.folder / "run.json"
+        known = read_record(self.folder) if path.is_file() else {}
+        kept = {key: known[key] for key in ("stages", "catalogues", "warnings") if key in known}
+        entries = {
+            **header,
+            "name": self.settings.run.name,
+            "seed": self.settings.run.seed,
+            "settings": settings,
+            "instrument": self.instrument.model_dump(mode="json"),
+            **kept,
+        }
+        tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True) + "\n").encode(), path)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[dict[str, float]]:
+        """Note the wall and CPU seconds of a stage; the block may add its workers' CPU time to what it is given."""
+        spent = {"cpu_s": 0.0}
+        wall, cpu = time.perf_counter(), time.process_time()
+        yield spent
+        spent["cpu_s"] = round(spent["cpu_s"] + time.process_time() - cpu, 3)
+        spent["wall_s"] = round(time.perf_counter() - wall, 3)
+        self.record(stages={stage: spent})
+
+
+def open_run(
+    pipeline: Path,
+    workers: Workers,
+    out: Path | None = None,
+    changes: tuple[str, ...] = (),
+    console: Console | None = None,
+) -> Run:
+    """A run of a pipeline file, its settings checked; nothing is written yet."""
+    settings = load_pipeline(pipeline, changes)
+    folder = out if out is not None else Path("runs") / settings.run.name
+    if folder.exists() and not folder.is_dir():
+        raise InputError("is a file, not a folder", file=folder, remedy="choose another --out")
+    return Run(folder, pipeline, settings, workers, console or Console(stderr=True, quiet=True))
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """A run's run.json."""
+    path = folder / "run.json"
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("no such file", file=path, remedy="name the folder of a run") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as failure:
+        raise InputError(f"is not JSON: {failure}", file=path, remedy="run the pipeline again") from None
+
+
+def code_digest(*rooms: str) -> str:
+    """Digest of the source of rooms of the package (a module or a folder each), the same wherever it is installed."""
+    digest = sha256()
+    for room in sorted({*rooms, "schema", "tables", "geometry", "instrument", "motion", "settings"}):
+        sources = sorted((PACKAGE / room).rglob("*.py")) or [PACKAGE / f"{room}.py"]
+        for source in sources:
+            digest.update(source.relative_to(PACKAGE).as_posix().encode() + source.read_bytes())
+    return digest.hexdigest()
+
+
+def _lock(file: IO[str], folder: Path) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(
+            "another run is at work in this folder", file=folder, remedy="wait for it, or choose another --out"
+        ) from None

@@ -1,0 +1,184 @@
+"""Settings of a pipeline: the sections of its TOML file, checked together."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from survey_sim.allocation import AllocationSettings
+from survey_sim.catalogue import ProgrammeSettings
+from survey_sim.errors import InputError, did_you_mean
+from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
+from survey_sim.routing import RoutingSettings
+from survey_sim.schedule import ScheduleSettings
+from survey_sim.settings import Settings, read_toml
+from survey_sim.simulation import SimulationSettings
+from survey_sim.tiling import TilingSettings
+
+
+class RunSettings(Settings):
+    """`[run]`: what the run is called, and the seed of all its random streams."""
+
+    # Also the name of its folder under runs/; the TOML file's own name by default.
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    seed: int = Field(1, ge=0)
+
+
+class InstrumentChoice(Settings):
+    """`[instrument]`: a preset (or TOML file), the constants that differ from it, and the dead robots."""
+
+    preset: str = "taipan-150"
+    overrides: dict[str, Any] = Field(default_factory=dict)
+    # Ids of robots that never move; they stand at their park positions.
+    dead_robots: tuple[int, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_overrides(cls, values: Any) -> Any:
+        """Any other key of the section is a constant of the instrument."""
+        if not isinstance(values, dict) or "overrides" in values:
+            return values
+        own = {key: value for key, value in values.items() if key in cls.model_fields}
+        return {**own, "overrides": {key: value for key, value in values.items() if key not in own}}
+
+    def load(self, folder: Path) -> Instrument:  # type: ignore[override]
+        """The instrument; a TOML file is looked for from `folder`."""
+        name = str(folder / self.preset) if self.preset.endswith(".toml") else self.preset
+        return load_instrument(name, self.overrides)
+
+
+class AllocationChoice(Settings):
+    """`[allocation]`: settings of every survey, and under `surveys` what differs for one of them."""
+
+    every: AllocationSettings = AllocationSettings()
+    surveys: dict[str, AllocationSettings] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _spread_common(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or "every" in values:
+            return values
+        common = {key: value for key, value in values.items() if key != "surveys"}
+        own = values.get("surveys", {})
+        if not isinstance(own, dict) or not all(isinstance(value, dict) for value in own.values()):
+            raise ValueError("surveys holds one section a survey: [allocation.surveys.NAME]")
+        return {"every": common, "surveys": {name: {**common, **value} for name, value in own.items()}}
+
+    def of(self, survey: str) -> AllocationSettings:
+        """The settings of one survey."""
+        return self.surveys.get(survey, self.every)
+
+
+class ReportSettings(Settings):
+    """`[report]`: what the page shows."""
+
+    title: str = ""
+    # Survey, tile and visit of the plate that is drawn; the busiest visit by default.
+    plate: tuple[str, int, int] | None = None
+    dpi: int = Field(150, ge=50, le=600)
+
+
+class OutputSettings(Settings):
+    """`[output]`: how tables are cut into parts."""
+
+    # Tiles of one part, which is also what a worker is given at a time; results do not depend on it.
+    tiles_per_part: int = Field(8, ge=1)
+
+
+class PipelineSettings(Settings):
+    """Everything that a run depends on, besides its catalogues."""
+
+    run: RunSettings
+    instrument: InstrumentChoice = InstrumentChoice()
+    programme: tuple[ProgrammeSettings, ...] = Field(min_length=1)
+    tiling: TilingSettings = TilingSettings()
+    allocation: AllocationChoice = AllocationChoice()
+    routing: RoutingSettings = RoutingSettings()
+    simulation: SimulationSettings = SimulationSettings()
+    schedule: ScheduleSettings = ScheduleSettings()
+    report: ReportSettings = ReportSettings()
+    output: OutputSettings = OutputSettings()
+
+    @field_validator("programme")
+    @classmethod
+    def _names_are_unique(cls, programmes: tuple[ProgrammeSettings, ...]) -> tuple[ProgrammeSettings, ...]:
+        names = [programme.name for programme in programmes]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"programme names used twice: {', '.join(twice)}")
+        return programmes
+
+    @model_validator(mode="after")
+    def _sections_name_surveys(self) -> Self:
+        for survey in self.allocation.surveys:
+            if survey not in self.surveys:
+                hint = did_you_mean(survey, self.surveys)
+                raise ValueError(f"[allocation.surveys.{survey}] names no survey of a programme; {hint}")
+        if any(self.allocation.of(survey).algorithm == "ideal" for survey in self.surveys):
+            raise ValueError("allocation.algorithm 'ideal' keeps no separation, so its visits cannot be routed")
+        return self
+
+    @property
+    def surveys(self) -> tuple[str, ...]:
+        """Names of the surveys with a science programme, in alphabetical order."""
+        return tuple(sorted({programme.survey for programme in self.programme if programme.kind == "science"}))
+
+    @property
+    def science(self) -> tuple[ProgrammeSettings, ...]:
+        """The science programmes."""
+        return tuple(programme for programme in self.programme if programme.kind == "science")
+
+    def plate(self, folder: Path) -> Plate:
+        """The robots of the run."""
+        return make_plate(self.instrument.load(folder), self.instrument.dead_robots)
+
+
+def load_pipeline(path: Path, changes: Sequence[str] = ()) -> PipelineSettings:
+    """Settings of a pipeline's TOML file, with changes `section.key=value` (values as TOML writes them).
+
+    Raises
+    ------
+    InputError
+        Missing or malformed file, unknown section or key, wrong type, unit or range.
+    """
+    values = read_toml(path)
+    values.setdefault("run", {}).setdefault("name", path.stem)
+    for change in changes:
+        _apply(values, change)
+    settings = PipelineSettings.load(values, file=path)
+    settings.plate(path.parent)
+    return settings
+
+
+def _apply(values: dict[str, Any], change: str) -> None:
+    key, equals, text = change.partition("=")
+    sections, name = key.strip().split(".")[:-1], key.strip().split(".")[-1]
+    if not equals or not sections:
+        raise InputError(f"cannot read {change!r}", place="--set", remedy="write --set section.key=value")
+    place: Any = values
+    for section in sections:
+        place = _named(place, section, change) if isinstance(place, list) else place.setdefault(section, {})
+    if not isinstance(place, dict):
+        raise InputError(f"{change!r} does not name a key of a section", place="--set", remedy="write section.key=value")
+    place[name] = _value(text.strip())
+
+
+def _named(entries: list[Mapping[str, Any]], name: str, change: str) -> Mapping[str, Any]:
+    """The entry of `[[programme]]` with this name."""
+    for entry in entries:
+        if entry.get("name") == name:
+            return entry
+    known = [str(entry.get("name")) for entry in entries]
+    raise InputError(f"{change!r}: no entry is named {name!r}", place="--set", remedy=did_you_mean(name, known))
+
+
+def _value(text: str) -> Any:
+    """A TOML value; a bare word is text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,229 @@
+"""The stages of a run: tables in, tables out. Each reads what earlier stages wrote, and writes its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from survey_sim import tables
+from survey_sim.catalogue import default_cache_folder, input_files, make_targets
+from survey_sim.folders import data_folder
+from survey_sim.instrument import robots_table
+from survey_sim.schema import TABLES
+from survey_sim.survey.batches import Batch, BatchResult, run_batches
+from survey_sim.survey.progress import tile_progress
+from survey_sim.survey.run import Run, code_digest
+from survey_sim.survey.tile import TILE_TABLES, TileJob
+
+# Rooms whose code each stage runs: a change there makes the stage run again.
+STAGE_ROOMS = {
+    "targets": ("catalogue",),
+    "tiles": ("tiling",),
+    "visits": ("allocation", "routing", "simulation", "survey/tile"),
+    "schedule": ("schedule",),
+    "report": ("plotting",),
+}
+# Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
+GATHERED = tuple(table for table in TILE_TABLES if not TABLES[table].is_in_parts)
+
+
+def select_targets(run: Run) -> None:
+    """Catalogues -> selected targets (no tile yet) and rejected rows."""
+    settings = run.settings
+    made = make_targets(
+        settings.programme, settings.tiling.region, settings.run.seed, data_folder("catalogues"), default_cache_folder()
+    )
+    tables.write(made.targets, "targets", selected_path(run))
+    tables.write(made.rejected, "rejected", run.table("rejected"))
+    run.record(catalogues={"counts": made.counts, "sha256": made.checksums})
+
+
+def place_tiles(run: Run) -> None:
+    """Selected targets -> tiles, targets with their home tiles, robots."""
+    from survey_sim.tiling import make_tiles  # noqa: PLC0415
+
+    selected = pl.read_parquet(selected_path(run))
+    tiles, targets = make_tiles(selected, run.settings.tiling, run.instrument.field_radius_deg)
+    tables.write(targets, "targets", run.table("targets"))
+    tables.write(tiles, "tiles", run.table("tiles"))
+    robots = pl.concat([robots_table(run.plate, survey) for survey in run.settings.surveys])
+    tables.write(robots, "robots", run.table("robots"))
+
+
+def simulate_visits(run: Run) -> dict[str, float]:
+    """Tiles -> visits, allocations, paths, legs, robot times; a part for each batch, those already whole are kept.
+
+    Returns
+    -------
+        CPU seconds of the batches done now.
+    """
+    batches = make_batches(run)
+    names = {batch.name for batch in batches}
+    _drop_stale_parts(run, names)
+    wanted = [batch for batch in batches if not is_whole(run, batch)]
+    cpu_s = 0.0
+    kept = [batch for batch in batches if batch not in wanted]
+    with tile_progress(run.console, batches, kept) as advance:
+        for result in run_batches(wanted, run.workers):
+            _keep(run, result)
+            cpu_s += result.cpu_s
+            advance(result.n_tile, result.n_visit)
+    for table in GATHERED:
+        parts = [pl.read_parquet(_part(run, table, name)) for name in sorted(names)]
+        tables.write(pl.concat([tables.empty(table), *parts]), table, run.table(table))
+    return {"cpu_s": cpu_s}
+
+
+def make_batches(run: Run) -> list[Batch]:
+    """All tiles in batches, with a digest of all that each batch depends on."""
+    from survey_sim.tiling import members  # noqa: PLC0415
+
+    targets, tiles = tables.read(run.folder, "targets"), tables.read(run.folder, "tiles")
+    shared = members(tiles, targets, run.instrument.field_radius_deg)
+    fixed = _digest(parameters(run, "visits"), code_digest(*STAGE_ROOMS["visits"]))
+    batches = []
+    for survey in run.settings.surveys:
+        of_survey = tiles.filter(survey=survey)
+        own = targets.filter(survey=survey, kind="science").partition_by("tile_id", as_dict=True)
+        for chunk in of_survey.iter_slices(run.settings.output.tiles_per_part):
+            jobs = tuple(_job(run, row, own, shared, targets) for row in chunk.iter_rows(named=True))
+            content = [job.targets.write_ipc(None).getvalue() for job in jobs]
+            centres = json.dumps([(job.tile_id, job.centre_deg) for job in jobs])
+            name = f"{survey}-{jobs[0].tile_id:05d}"
+            batches.append(Batch(name, _digest(fixed, centres, *content), jobs))
+    return batches
+
+
+def parameters(run: Run, stage: str) -> dict[str, Any]:
+    """Settings that a stage uses, as plain values: a change in one makes the stage run again."""
+    dump = run.settings.model_dump(mode="json")
+    instrument = run.instrument.model_dump(mode="json")
+    sections: dict[str, dict[str, Any]] = {
+        "targets": {"seed": dump["run"]["seed"], "programme": dump["programme"], "region": dump["tiling"].get("region")},
+        "tiles": {"tiling": dump["tiling"], "instrument": instrument, "dead_robots": dump["instrument"]["dead_robots"]},
+        "visits": {
+            "seed": dump["run"]["seed"],
+            "instrument": instrument,
+            "dead_robots": dump["instrument"]["dead_robots"],
+            "allocation": dump["allocation"],
+            "routing": dump["routing"],
+            "wanted": {p["name"]: p["completeness_frac"] for p in dump["programme"]},
+            "tiles_per_part": dump["output"]["tiles_per_part"],
+        },
+        "schedule": {"seed": dump["run"]["seed"], "schedule": dump["schedule"], "programme": dump["programme"]},
+        "report": {"report": dump["report"], "name": dump["run"]["name"]},
+    }
+    return sections[stage]
+
+
+def make_night_schedule(run: Run) -> None:
+    """Visits -> exposures, nights, status of every science target."""
+    from survey_sim.survey.nights import schedule_tables  # noqa: PLC0415
+
+    made, warnings = schedule_tables(run)
+    for table, frame in made.items():
+        tables.write(frame, table, run.table(table))
+    run.record(warnings={"schedule": warnings})
+
+
+def draw_report(run: Run) -> None:
+    """Tables -> figures and the page."""
+    from survey_sim.survey.report import make_report  # noqa: PLC0415
+
+    make_report(run.folder)
+
+
+def catalogue_files(run: Run) -> list[Path]:
+    """Cards and files that the run's programmes read."""
+    return input_files(run.settings.programme, data_folder("catalogues"), default_cache_folder())
+
+
+def selected_path(run: Run) -> Path:
+    """Targets before they have tiles."""
+    return run.state / "selected.parquet"
+
+
+def are_parts_whole(run: Run) -> bool:
+    """Whether every part that the manifests name is there, byte for byte."""
+    manifests = sorted((run.state / "parts").glob("*.json"))
+    return all(_is_whole(run, json.loads(manifest.read_text())) for manifest in manifests)
+
+
+def is_whole(run: Run, batch: Batch) -> bool:
+    """Whether the parts of a batch are there, made from the same input, byte for byte."""
+    manifest = _manifest(run, batch.name)
+    if not manifest.is_file():
+        return False
+    kept = json.loads(manifest.read_text())
+    return kept["signature"] == batch.signature and _is_whole(run, kept)
+
+
+def _job(
+    run: Run, tile: dict[str, Any], own: dict[Any, pl.DataFrame], shared: dict[Any, Sequence[int]], targets: pl.DataFrame
+) -> TileJob:
+    key = (tile["survey"], tile["tile_id"])
+    science = own.get((tile["tile_id"],), targets.clear())
+    rows = pl.concat([science, targets[shared[key]]]).sort("target_id")
+    settings = run.settings
+    return TileJob(
+        survey=tile["survey"],
+        tile_id=tile["tile_id"],
+        centre_deg=(tile["ra_deg"], tile["dec_deg"]),
+        targets=rows.select("target_id", "kind", "programme", "ra_deg", "dec_deg", "mag", "priority", "wanted_visits"),
+        wanted_frac={p.name: p.completeness_frac for p in settings.science if p.survey == tile["survey"]},
+        plate=run.plate,
+        allocation=settings.allocation.of(tile["survey"]),
+        routing=settings.routing,
+        seed=settings.run.seed,
+    )
+
+
+def _keep(run: Run, result: BatchResult) -> None:
+    """Write the parts of a batch, and last the manifest that says they are whole."""
+    for table, content in result.parts.items():
+        path = _part(run, table, result.name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tables.write_bytes(content, path, aside=path.parent.parent)
+    kept = {
+        "name": result.name,
+        "signature": result.signature,
+        "n_visit": result.n_visit,
+        "sha256": {table: sha256(content).hexdigest() for table, content in result.parts.items()},
+    }
+    tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), _manifest(run, result.name))
+
+
+def _is_whole(run: Run, kept: dict[str, Any]) -> bool:
+    parts = {table: _part(run, table, kept["name"]) for table in kept["sha256"]}
+    return all(path.is_file() and tables.checksum(path) == kept["sha256"][table] for table, path in parts.items())
+
+
+def _drop_stale_parts(run: Run, names: Iterable[str]) -> None:
+    """Remove parts of tiles that the run no longer has."""
+    known = set(names)
+    stale = {path for table in TILE_TABLES for path in _part(run, table, "any").parent.glob("*.parquet")}
+    stale |= set((run.state / "parts").glob("*.json"))
+    for path in stale:
+        if path.stem not in known:
+            path.unlink(missing_ok=True)
+
+
+def _part(run: Run, table: str, name: str) -> Path:
+    folder = run.folder if TABLES[table].is_in_parts else run.state / "parts"
+    return folder / table / f"{name}.parquet"
+
+
+def _manifest(run: Run, name: str) -> Path:
+    return run.state / "parts" / f"{name}.json"
+
+
+def _digest(*parts: Any) -> str:
+    digest = sha256()
+    for part in parts:
+        digest.update(part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode())
+    return digest.hexdigest()
