@@ -1,0 +1,47 @@
+"""Exchange files: the paper's data model as VOTables, between allocator, router, simulator and other programs.
+
+`model` declares every file (Goodwin et al. 2014, Figures 6 and 11), `door` lets only safe XML in, `votable` turns bytes
+into checked frames in our units and back, `robots` and `moves` join the frames to plates and legs.
+"""
+
+from survey_sim.exchange.door import N_BYTES_MAX, read_bytes
+from survey_sim.exchange.model import (
+    ALLOCATION,
+    CATALOGUE,
+    FILES,
+    POSITIONS,
+    ROUTER,
+    STARBUGS,
+    SYSTEM_PARAMETERS,
+    FileModel,
+    TableModel,
+)
+from survey_sim.exchange.moves import check_moves, legs_from_moves
+from survey_sim.exchange.robots import plate_documents, plate_of, read_plate, robot_columns, robot_params, rows_of_robots
+from survey_sim.exchange.votable import Document, read, to_bytes, votable_bytes
+
+__all__ = [
+    "ALLOCATION",
+    "CATALOGUE",
+    "FILES",
+    "N_BYTES_MAX",
+    "POSITIONS",
+    "ROUTER",
+    "STARBUGS",
+    "SYSTEM_PARAMETERS",
+    "Document",
+    "FileModel",
+    "TableModel",
+    "check_moves",
+    "legs_from_moves",
+    "plate_documents",
+    "plate_of",
+    "read",
+    "read_bytes",
+    "read_plate",
+    "robot_columns",
+    "robot_params",
+    "rows_of_robots",
+    "to_bytes",
+    "votable_bytes",
+]
