@@ -1,0 +1,6 @@
+"""The schedule: nights of a site, twilight, Moon and weather, and which visit is observed when."""
+
+from survey_sim.schedule.nightly import Schedule, make_schedule
+from survey_sim.schedule.settings import Programme, ScheduleSettings
+
+__all__ = ["Programme", "Schedule", "ScheduleSettings", "make_schedule"]

@@ -1,0 +1,143 @@
+"""Fields over the site: when each can be observed tonight, and how pressed its time is from tonight to the last night."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from survey_sim.schedule.ephemeris import Ephemeris
+from survey_sim.schedule.kernels import Fields, State, work_left
+from survey_sim.schedule.problem import Problem
+from survey_sim.schedule.settings import SKY_STATES, ScheduleSettings, SurveyRule
+from survey_sim.schedule.sky import N_LST_BIN, Night, time_by_bin
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def make_fields(
+    problem: Problem, ephemeris: Ephemeris, night: Night, rules: Sequence[SurveyRule], urgency: FloatArray
+) -> Fields:
+    """All tiles for one night; see `kernels.Fields`."""
+    direction = ephemeris.directions(problem.tile_icrs, night.evening_mjd + 0.5)
+    dec_rad = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0))
+    latitude_rad = np.radians(ephemeris.site.latitude_deg)
+    with np.errstate(divide="ignore"):
+        min_airmass = 1.0 / np.maximum(np.cos(dec_rad - latitude_rad), 0.0)
+    return Fields(
+        survey=problem.tile_survey,
+        first_visit=problem.first_visit,
+        direction=direction,
+        ra_rad=np.arctan2(direction[:, 1], direction[:, 0]),
+        dec_rad=dec_rad,
+        window_rad=observing_window(dec_rad, problem, latitude_rad, rules),
+        min_airmass=min_airmass,
+        urgency=urgency,
+    )
+
+
+def observing_window(dec_rad: FloatArray, problem: Problem, latitude_rad: float, rules: Sequence[SurveyRule]) -> FloatArray:
+    """(n_tile,) largest hour angle, rad, within the limits of airmass and hour angle of each tile's survey; -1: never."""
+    sin_alt_min = 1.0 / np.array([rule.airmass_max for rule in rules])[problem.tile_survey]
+    limit = np.radians([rule.hour_angle_max_deg for rule in rules])[problem.tile_survey]
+    across = np.cos(latitude_rad) * np.cos(dec_rad)
+    cos_ha = (sin_alt_min - np.sin(latitude_rad) * np.sin(dec_rad)) / np.maximum(across, 1e-12)
+    window = np.minimum(np.arccos(np.clip(cos_ha, -1.0, 1.0)), limit)
+    return np.where(cos_ha < 1.0, window, -1.0)
+
+
+@dataclass(frozen=True)
+class LookAhead:
+    """Time left to each tile, and who else wants it.
+
+    Attributes
+    ----------
+    problem, rules
+        What it was made of.
+    window_rad
+        (n_tile,) largest hour angle in the middle of the schedule, rad; -1: the field is never within the limits.
+    is_open
+        (n_tile, 24) share of each bin of sidereal time in which the field is within its window.
+    states
+        (n_survey, 4) 1 for the states of the sky that a survey takes (or fills, if it takes none).
+    time_s
+        (n_night + 1, 24, 4) clear time expected from each night on, s.
+    is_on
+        Whether urgency is wanted; if not, it is 1 for all.
+    """
+
+    problem: Problem
+    rules: Sequence[SurveyRule]
+    window_rad: FloatArray
+    is_open: FloatArray
+    states: FloatArray
+    time_s: FloatArray
+    overhead_s: FloatArray
+    is_on: bool
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        ephemeris: Ephemeris,
+        nights: Sequence[Night],
+        rules: Sequence[SurveyRule],
+        settings: ScheduleSettings,
+    ) -> Self:
+        """Look-ahead over all nights."""
+        direction = problem.tile_icrs
+        if nights:
+            direction = ephemeris.directions(direction, nights[len(nights) // 2].evening_mjd)
+        window_rad = observing_window(
+            np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)), problem, np.radians(ephemeris.site.latitude_deg), rules
+        )
+        wanted = [set(rule.takes) or set(rule.fills) for rule in rules]
+        readout_s = settings.telescope.readout_s
+        return cls(
+            problem=problem,
+            rules=rules,
+            window_rad=window_rad,
+            is_open=_share_open(np.arctan2(direction[:, 1], direction[:, 0]), window_rad),
+            states=np.array([[float(state in states) for state in SKY_STATES] for states in wanted]).reshape(-1, 4),
+            time_s=time_by_bin(nights) * (1.0 - settings.weather.mean_loss_frac),
+            overhead_s=np.array([readout_s + rule.calibration_s for rule in rules], dtype=np.float64),
+            is_on=settings.is_looking_ahead,
+        )
+
+    def left_s(self, night: int) -> FloatArray:
+        """(n_tile,) clear time expected for each tile from a night on, s."""
+        by_survey = self.time_s[night] @ self.states.T
+        return np.asarray((self.is_open * by_survey.T[self.problem.tile_survey]).sum(axis=1))
+
+    def urgency(self, night: int, state: State, weight: FloatArray) -> FloatArray:
+        """(n_tile,) P / (1 + P), P the pressure on each tile's time from a night on.
+
+        A tile spreads its work over the bins open to it in proportion to their time; the load of a bin is all work
+        spread on it over its time; P is the mean load of a tile's bins, weighted by time.
+        """
+        problem = self.problem
+        if not self.is_on:
+            return np.ones(len(problem.tile_survey))
+        work_s = np.empty(len(problem.tile_survey))
+        visits = problem.visits
+        work_left(problem.tile_survey, problem.first_visit, visits.exposure_s, state, weight, self.overhead_s, work_s)
+        left_s = self.left_s(night)
+        spread = np.divide(work_s, left_s, out=np.zeros_like(work_s), where=left_s > 0)
+        load = np.zeros((N_LST_BIN, len(SKY_STATES)))
+        for survey, states in enumerate(self.states):
+            of_survey = problem.tile_survey == survey
+            load += (spread[of_survey] @ self.is_open[of_survey])[:, None] * states
+        loaded = (load * self.time_s[night]) @ self.states.T
+        pressed = (self.is_open * loaded.T[problem.tile_survey]).sum(axis=1)
+        pressure = np.divide(pressed, left_s, out=np.full_like(left_s, np.inf), where=left_s > 0)
+        return 1.0 - 1.0 / (1.0 + pressure)
+
+
+def _share_open(ra_rad: FloatArray, window_rad: FloatArray) -> FloatArray:
+    """(n_tile, 24) share of each bin of sidereal time within each tile's window of hour angle."""
+    n_part = 4
+    sidereal = (np.arange(N_LST_BIN * n_part) + 0.5) / (N_LST_BIN * n_part) * 2.0 * np.pi
+    ha = (sidereal - ra_rad[:, None] + np.pi) % (2.0 * np.pi) - np.pi
+    is_open = np.abs(ha) <= window_rad[:, None]
+    return np.asarray(is_open.reshape(-1, N_LST_BIN, n_part).mean(axis=2))

@@ -1,0 +1,383 @@
+"""Compiled loop of one night. All kernels that call each other are here: the compiler's cache does not notice an edit in
+another file.
+"""
+
+# Kernels take flat arrays and untyped scalars, and are long where splitting them would cost calls.
+# ruff: noqa: PLW3301
+# mypy: disable-error-code="no-untyped-def"
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+ByteArray = npt.NDArray[np.uint8]
+
+TWO_PI = 2.0 * np.pi
+# Local sidereal rad in a second of UTC.
+SIDEREAL_RAD_S = TWO_PI * 1.002_737_811_911_354_48 / 86_400.0
+MINUTE_S = 60.0
+# Levels of a survey's right to a minute (as in sky.py).
+FILLS, TAKES = 1, 2
+# Status of a pointing.
+OBSERVED, INTERRUPTED, NOT_STARTED = 0, 1, 2
+# The Moon's way between the ends of a minute, by which its distance limit is widened: 0.02 deg.
+MOON_MARGIN_RAD = 3.5e-4
+
+
+class Fields(NamedTuple):
+    """Tiles as the night sees them; n tiles.
+
+    survey: (n,); first_visit: (n + 1,) places of each tile's visits; direction: (n, 3) of date; ra_rad, dec_rad: (n,)
+    of date; window_rad: (n,) largest hour angle at which the field may be observed, < 0 if never; min_airmass: (n,);
+    urgency: (n,) worth factor of waiting no longer.
+    """
+
+    survey: IntArray
+    first_visit: IntArray
+    direction: FloatArray
+    ra_rad: FloatArray
+    dec_rad: FloatArray
+    window_rad: FloatArray
+    min_airmass: FloatArray
+    urgency: FloatArray
+
+
+class Visits(NamedTuple):
+    """Visits in order of survey, tile, visit; m visits.
+
+    tile: (m,); exposure_s, start_to_target_s, start_to_park_s, park_to_target_s: (m,); is_from_park: (m,)
+    start_to_target begins at park; first_holding: (m + 1,) places in `target`; target: (n_holding,) targets held.
+    """
+
+    tile: IntArray
+    exposure_s: FloatArray
+    start_to_target_s: FloatArray
+    start_to_park_s: FloatArray
+    park_to_target_s: FloatArray
+    is_from_park: BoolArray
+    first_holding: IntArray
+    target: IntArray
+
+
+class Targets(NamedTuple):
+    """Science targets; k targets.
+
+    target_id, programme, wanted: (k,); first_held: (k + 1,) places in `visit`; visit: (n_holding,) visits that hold
+    each target.
+    """
+
+    target_id: IntArray
+    programme: IntArray
+    wanted: IntArray
+    first_held: IntArray
+    visit: IntArray
+
+
+class Rules(NamedTuple):
+    """Settings as numbers; by survey where (n_survey,), by programme where (n_programme,)."""
+
+    calibration_s: FloatArray
+    moon_cos_max: FloatArray
+    survey_weight: FloatArray
+    success_frac: FloatArray
+    readout_s: float
+    slew_rad_s: float
+    settle_s: float
+    configuration_s: float  # < 0: as routed
+    repeat_min_frac: float
+    airmass_power: float
+    idle_step_s: float
+    latitude_rad: float
+    success_key: np.uint64
+
+
+class State(NamedTuple):
+    """What changes as visits are observed.
+
+    next_visit: (n,) next visit of each tile; gain: (m, n_programme) targets held that still want a visit; n_observed,
+    n_tried, first_night, last_night: (k,); n_complete: (n_programme,).
+    """
+
+    next_visit: IntArray
+    gain: IntArray
+    n_observed: IntArray
+    n_tried: IntArray
+    first_night: IntArray
+    last_night: IntArray
+    n_complete: IntArray
+
+
+class Night(NamedTuple):
+    """Sky of the night by minutes, see `sky.Night`; weight: (n_programme,) worth of one target-visit."""
+
+    number: int
+    sidereal_rad: float
+    level: ByteArray
+    moon: FloatArray
+    is_cloudy: BoolArray
+    weight: FloatArray
+
+
+# Columns of the log of a night.
+LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD = range(8)
+N_LOG = 8
+
+
+@njit(cache=True)
+def wrap(angle):
+    """Angle in [-pi, pi), rad."""
+    return (angle + np.pi) % TWO_PI - np.pi
+
+
+@njit(cache=True)
+def uniform(key, target_id, attempt):
+    """Number in [0, 1) that depends on its arguments alone (splitmix64: Steele et al. 2014, DOI 10.1145/2714064.2660195)."""
+    z = key + np.uint64(target_id) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(attempt) * np.uint64(0xD1B54A32D192ED03)
+    for _ in range(2):
+        z += np.uint64(0x9E3779B97F4A7C15)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        z = z ^ (z >> np.uint64(31))
+    return np.float64(z >> np.uint64(11)) * 2.0**-53
+
+
+@njit(cache=True)
+def configuration_time(visits, visit, previous, constant_s):
+    """Time that the robots need for a visit after the previous pointing's visit (-1: parked), s.
+
+    The same visit again: they stand where they should. The next visit of the same tile: its own routed path. Any
+    other: back to park, which takes as long as the way from park (time reversal), and out again. `constant_s` >= 0
+    replaces all of these.
+    """
+    if constant_s >= 0.0:
+        return constant_s
+    if previous < 0:
+        return visits.park_to_target_s[visit]
+    if previous == visit:
+        return 0.0
+    if previous == visit - 1 and visits.tile[previous] == visits.tile[visit]:
+        if visits.is_from_park[visit]:
+            return visits.start_to_park_s[visit] + visits.park_to_target_s[visit]
+        return visits.start_to_target_s[visit]
+    return visits.park_to_target_s[previous] + visits.park_to_target_s[visit]
+
+
+@njit(cache=True)
+def visit_worth(state, visit, weight):
+    """Weighted target-visits that a visit would bring."""
+    worth = 0.0
+    for programme in range(len(weight)):
+        worth += weight[programme] * state.gain[visit, programme]
+    return worth
+
+
+@njit(cache=True)
+def next_candidate(fields, visits, state, tile, weight, repeat_min_frac):
+    """Visit that a tile offers; -1 if none.
+
+    Its visits in order, those that nobody wants left out; when all are done, the one worth most again, if enough of
+    what it holds still lacks a success.
+    """
+    end = fields.first_visit[tile + 1]
+    while state.next_visit[tile] < end:
+        visit = state.next_visit[tile]
+        for programme in range(len(weight)):
+            if state.gain[visit, programme] > 0:
+                return visit
+        state.next_visit[tile] += 1
+    best, best_worth = -1, 0.0
+    for visit in range(fields.first_visit[tile], end):
+        n_left = 0
+        for programme in range(len(weight)):
+            n_left += state.gain[visit, programme]
+        n_held = visits.first_holding[visit + 1] - visits.first_holding[visit]
+        worth = visit_worth(state, visit, weight)
+        if n_left >= repeat_min_frac * n_held and worth > best_worth:
+            best, best_worth = visit, worth
+    return best
+
+
+@njit(cache=True)
+def work_left(tile_survey, first_visit, exposure_s, state, weight, overhead_s, out):
+    """Fill (n,) seconds that the visits left in each tile would take, by exposure and each survey's usual overhead."""
+    for tile in range(len(out)):
+        out[tile] = 0.0
+        for visit in range(state.next_visit[tile], first_visit[tile + 1]):
+            if visit_worth(state, visit, weight) > 0.0:
+                out[tile] += exposure_s[visit] + overhead_s[tile_survey[tile]]
+
+
+@njit(cache=True)
+def credit(visits, targets, state, visit, night, success_frac, key):
+    """Count a good exposure of a visit: draw each target's success, note what it still wants."""
+    for h in range(visits.first_holding[visit], visits.first_holding[visit + 1]):
+        target = visits.target[h]
+        programme = targets.programme[target]
+        state.n_tried[target] += 1
+        if uniform(key, targets.target_id[target], state.n_tried[target]) >= success_frac[programme]:
+            continue
+        state.n_observed[target] += 1
+        if state.first_night[target] < 0:
+            state.first_night[target] = night
+        state.last_night[target] = night
+        if state.n_observed[target] == targets.wanted[target]:
+            state.n_complete[programme] += 1
+            for g in range(targets.first_held[target], targets.first_held[target + 1]):
+                state.gain[targets.visit[g], programme] -= 1
+
+
+@njit(cache=True)
+def _ends_of_runs(level, least, out):
+    """Fill (n_survey, n_minute) end, s, of the run of minutes at or above a level that each minute is in; 0 outside."""
+    n_survey, n_minute = level.shape
+    for survey in range(n_survey):
+        end = 0.0
+        for minute in range(n_minute - 1, -1, -1):
+            if level[survey, minute] < least:
+                end = 0.0
+            elif end == 0.0:
+                end = (minute + 1) * MINUTE_S
+            out[survey, minute] = end
+
+
+@njit(cache=True)
+def _first_cloud(is_cloudy, start_s, end_s):
+    """When cloud first comes within a span, s; the span's end if it does not."""
+    for minute in range(int(start_s / MINUTE_S), min(len(is_cloudy), int(np.ceil(end_s / MINUTE_S)))):
+        if is_cloudy[minute]:
+            return max(start_s, minute * MINUTE_S)
+    return end_s
+
+
+@njit(cache=True)
+def _is_near_moon(direction, moon, cos_max):
+    """Whether a direction is nearer to the Moon than allowed; a Moon that is down is a zero vector."""
+    return direction[0] * moon[0] + direction[1] * moon[1] + direction[2] * moon[2] > cos_max
+
+
+@njit(cache=True)
+def _offers(night, fields, visits, rules, state):
+    """(n,) visit that each tile offers, -1 if none, and the tiles that offer one."""
+    candidate = np.full(len(fields.survey), -1, dtype=np.int64)
+    active = np.empty(len(fields.survey), dtype=np.int64)
+    n_active = 0
+    for tile in range(len(fields.survey)):
+        if fields.window_rad[tile] > 0.0:
+            candidate[tile] = next_candidate(fields, visits, state, tile, night.weight, rules.repeat_min_frac)
+            if candidate[tile] >= 0:
+                active[n_active] = tile
+                n_active += 1
+    return candidate, active[:n_active]
+
+
+@njit(cache=True)
+def _choose(night, fields, visits, rules, state, candidate, active, until, now, readout, previous):
+    """Tile to observe now, and slew, configuration and start of its exposure, s; tile -1 if none can be.
+
+    `until` (2, n_survey, n_minute): ends of the runs of minutes that a survey at least fills, and takes; `previous`:
+    the last visit, -1 if the telescope is at the zenith and the robots at park.
+    """
+    sin_lat, cos_lat = np.sin(rules.latitude_rad), np.cos(rules.latitude_rad)
+    sidereal = night.sidereal_rad + SIDEREAL_RAD_S * now
+    end_s = len(night.is_cloudy) * MINUTE_S
+    previous_tile, telescope_ha, telescope_dec = -1, 0.0, rules.latitude_rad
+    if previous >= 0:
+        previous_tile = visits.tile[previous]
+        telescope_ha = wrap(sidereal - fields.ra_rad[previous_tile])
+        telescope_dec = fields.dec_rad[previous_tile]
+    best, best_level, best_score = -1, 0, 0.0
+    best_slew, best_configuration, best_start = 0.0, 0.0, 0.0
+    for tile in active:
+        visit = candidate[tile]
+        survey = fields.survey[tile]
+        ha = wrap(sidereal - fields.ra_rad[tile])
+        window = fields.window_rad[tile]
+        if visit < 0 or ha > window:
+            continue
+        slew = 0.0
+        if tile != previous_tile:
+            way = max(abs(ha - telescope_ha), abs(fields.dec_rad[tile] - telescope_dec))
+            slew = way / rules.slew_rad_s + rules.settle_s
+        configuration = configuration_time(visits, visit, previous, rules.configuration_s)
+        start = now + max(slew, max(configuration, readout)) + rules.calibration_s[survey]
+        end = start + visits.exposure_s[visit]
+        ha_start, ha_end = ha + SIDEREAL_RAD_S * (start - now), ha + SIDEREAL_RAD_S * (end - now)
+        if end > end_s or ha_start < -window or ha_end > window:
+            continue
+        minute = int(start / MINUTE_S)
+        level = TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else 0
+        if level == 0 or level < best_level:
+            continue
+        cos_ha = np.cos(0.5 * (ha_start + ha_end))
+        sin_alt = sin_lat * np.sin(fields.dec_rad[tile]) + cos_lat * np.cos(fields.dec_rad[tile]) * cos_ha
+        worth = visit_worth(state, visit, night.weight) * rules.survey_weight[survey] * fields.urgency[tile]
+        score = worth * (fields.min_airmass[tile] * sin_alt) ** rules.airmass_power / (end - now)
+        if score <= 0.0 or (level == best_level and score <= best_score):
+            continue
+        direction, cos_max = fields.direction[tile], rules.moon_cos_max[survey]
+        if _is_near_moon(direction, night.moon[minute], cos_max):
+            continue
+        if _is_near_moon(direction, night.moon[int(np.ceil(end / MINUTE_S))], cos_max):
+            continue
+        best, best_level, best_score = tile, level, score
+        best_slew, best_configuration, best_start = slew, configuration, start
+    return best, best_slew, best_configuration, best_start
+
+
+@njit(cache=True)
+def observe_night(night, fields, visits, targets, rules, state, log):
+    """Observe one night; gives the number of pointings written to `log` (n_log, 8), or -1 if they do not fit.
+
+    At every moment of clear sky the visit of greatest
+
+        worth x urgency x (least airmass / airmass)^power / (overhead + exposure)
+
+    is observed, among the visits that fit wholly into the survey's time, the field's window and its distance from the
+    Moon; time that a survey takes goes before time that it only fills. Equal visits: the first in order. Times are
+    seconds from the night's first minute.
+    """
+    n_minute = len(night.is_cloudy)
+    until = np.zeros((2, len(rules.calibration_s), n_minute))
+    _ends_of_runs(night.level, FILLS, until[0])
+    _ends_of_runs(night.level, TAKES, until[1])
+    candidate, active = _offers(night, fields, visits, rules, state)
+    now, read_out_s, previous, n_log = 0.0, 0.0, -1, 0
+    while now < n_minute * MINUTE_S and len(active):
+        if night.is_cloudy[int(now / MINUTE_S)]:
+            now = (int(now / MINUTE_S) + 1) * MINUTE_S
+            continue
+        readout = max(0.0, read_out_s - now)
+        tile, slew, configuration, start = _choose(
+            night, fields, visits, rules, state, candidate, active, until, now, readout, previous
+        )
+        if tile < 0:
+            now += rules.idle_step_s
+            continue
+        if n_log == len(log):
+            return -1
+        visit = candidate[tile]
+        end = start + visits.exposure_s[visit]
+        stop = _first_cloud(night.is_cloudy, now, end)
+        status = OBSERVED if stop == end else INTERRUPTED if stop > start else NOT_STARTED
+        log[n_log, LOG_VISIT] = visit
+        log[n_log, LOG_START] = start
+        log[n_log, LOG_SLEW] = slew
+        log[n_log, LOG_CONFIGURATION] = configuration
+        log[n_log, LOG_READOUT] = readout
+        log[n_log, LOG_EXPOSURE] = max(0.0, stop - start)
+        log[n_log, LOG_STATUS] = status
+        log[n_log, LOG_OVERHEAD] = min(stop, start) - now
+        n_log += 1
+        now, previous = stop, visit
+        if status != NOT_STARTED:
+            read_out_s = stop + rules.readout_s
+        if status == OBSERVED:
+            credit(visits, targets, state, visit, night.number, rules.success_frac, rules.success_key)
+            if visit == state.next_visit[tile]:
+                state.next_visit[tile] += 1
+            candidate[tile] = next_candidate(fields, visits, state, tile, night.weight, rules.repeat_min_frac)
+    return n_log
