@@ -54,6 +54,14 @@ class Field:
         """(n_pair,) target of each entry of `reach_robot`."""
         return np.repeat(np.arange(self.targets.n_target), np.diff(self.reach_first))
 
+    def near_any(self, target: IntArray) -> BoolArray:
+        """(n_target,) targets that are one of those given, or too close to one."""
+        is_near = np.zeros(self.targets.n_target, dtype=bool)
+        is_near[target] = True
+        for t in target:
+            is_near[self.near[self.near_first[t] : self.near_first[t + 1]]] = True
+        return is_near
+
     def blocked_by(self, position_mm: FloatArray) -> BoolArray:
         """(n_target,) targets nearer than the separation to any of the (n, 2) positions, mm."""
         if not len(position_mm):

@@ -339,3 +339,33 @@ def note_lost(held, is_open, is_science, priority, first, near, reach_first, rea
                 lowest[t] = 0
             elif is_science[u]:
                 lowest[t] = min(lowest[t], priority[u])
+
+
+@njit(cache=True)
+def pick_apart(candidates, limit, first, near, is_open, is_picked):
+    """Pick targets in the order given, none near one picked before; the number picked now.
+
+    Parameters
+    ----------
+    candidates, limit
+        (n,) targets, best first; most to pick.
+    first, near
+        Lists of near targets.
+    is_open, is_picked
+        (n_target,) may be picked; picked so far (changed).
+    """
+    n = 0
+    for t in candidates:
+        if n == limit:
+            break
+        if is_picked[t] or not is_open[t]:
+            continue
+        is_apart = True
+        for k in range(first[t], first[t + 1]):
+            if is_picked[near[k]]:
+                is_apart = False
+                break
+        if is_apart:
+            is_picked[t] = True
+            n += 1
+    return n

@@ -11,6 +11,7 @@ from survey_sim.allocation.closest import choose_advanced, choose_basic
 from survey_sim.allocation.field import BoolArray, Field, make_field
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle
+from survey_sim.allocation.matching import choose_matching
 from survey_sim.allocation.settings import AllocationSettings, LostReason
 from survey_sim.allocation.targets import SKY, FieldTargets, FloatArray, IntArray
 from survey_sim.instrument import Plate
@@ -23,6 +24,7 @@ CHOICES: dict[str, tuple[Choice, Start]] = {
     "ideal": (choose_ideal, "previous"),
     "cda-basic": (choose_basic, "park"),
     "cda-advanced": (choose_advanced, "previous"),
+    "matching": (choose_matching, "previous"),
 }
 
 
