@@ -35,7 +35,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Batch simulator for whole surveys with Starbug fibre robots: from catalogue to routed visits, schedule and report.",
+    help="Batch simulator for whole surveys with Starbug fibre robots: from catalogue to routed visits and report.",
 )
 catalogue_app = typer.Typer(no_args_is_help=True, help="Catalogues: what there is, whether it is sound, and mocks.")
 app.add_typer(catalogue_app, name="catalogue")
@@ -97,9 +97,11 @@ def report(run_dir: RunDir, quiet: Quiet = False) -> None:
 @app.command()
 def check(run_dir: RunDir, quiet: Quiet = False) -> None:
     """Prove every allocation and every leg again from the tables alone; exit 1 with the rows if anything is wrong."""
-    from survey_sim.survey.proof import prove
+    from survey_sim.survey.proof import fault_lines, prove
 
-    if not prove(run_dir, _console(quiet)):
+    lines = fault_lines(prove(run_dir, _console(quiet)))
+    if lines:
+        print("\n".join(lines), file=sys.stderr)
         raise typer.Exit(1)
 
 

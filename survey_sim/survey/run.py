@@ -86,7 +86,7 @@ class Run:
         header = {"package": "survey-sim", "version": __version__, "schema_version": SCHEMA_VERSION}
         path = self.folder / "run.json"
         known = read_record(self.folder) if path.is_file() else {}
-        kept = {key: known[key] for key in ("stages", "catalogues", "warnings") if key in known}
+        kept = {key: known[key] for key in ("stages", "catalogues", "targets", "warnings") if key in known}
         entries = {
             **header,
             "name": self.settings.run.name,

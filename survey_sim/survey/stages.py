@@ -16,6 +16,7 @@ from survey_sim.folders import data_folder
 from survey_sim.instrument import robots_table
 from survey_sim.schema import TABLES
 from survey_sim.survey.batches import Batch, BatchResult, run_batches
+from survey_sim.survey.nights import schedule_run
 from survey_sim.survey.progress import tile_progress
 from survey_sim.survey.run import Run, code_digest
 from survey_sim.survey.tile import TILE_TABLES, TileJob
@@ -40,7 +41,8 @@ def select_targets(run: Run) -> None:
     )
     tables.write(made.targets, "targets", selected_path(run))
     tables.write(made.rejected, "rejected", run.table("rejected"))
-    run.record(catalogues={"counts": made.counts, "sha256": made.checksums})
+    run.record(catalogues={"counts": made.counts, "sha256": made.checksums}, targets=made.n_target)
+    _warn(run, "targets", made.warnings)
 
 
 def place_tiles(run: Run) -> None:
@@ -123,12 +125,10 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
 
 def make_night_schedule(run: Run) -> None:
     """Visits -> exposures, nights, status of every science target."""
-    from survey_sim.survey.nights import schedule_tables  # noqa: PLC0415
-
-    made, warnings = schedule_tables(run)
-    for table, frame in made.items():
-        tables.write(frame, table, run.table(table))
-    run.record(warnings={"schedule": warnings})
+    made = schedule_run(run)
+    for table in ("exposures", "nights", "target_status"):
+        tables.write(getattr(made, table), table, run.table(table))
+    _warn(run, "schedule", made.warnings)
 
 
 def draw_report(run: Run) -> None:
@@ -161,6 +161,13 @@ def is_whole(run: Run, batch: Batch) -> bool:
         return False
     kept = json.loads(manifest.read_text())
     return kept["signature"] == batch.signature and _is_whole(run, kept)
+
+
+def _warn(run: Run, stage: str, warnings: Sequence[str]) -> None:
+    """Print what the user should know, and keep it in run.json."""
+    run.record(warnings={stage: list(warnings)})
+    for warning in warnings:
+        run.console.print(f"  [yellow]warning:[/yellow] {warning}")
 
 
 def _job(
