@@ -6,7 +6,9 @@ from survey_sim.motion import Legs, make_legs
 from survey_sim.routing import kernels
 from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 
-STRETCHES = (1.0, 1.01, 1.02, 1.05, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0)
+import os
+
+QUICK = int(os.environ.get("QUICK", "200"))
 
 
 def physics(problem: Problem) -> kernels.Physics:
@@ -35,10 +37,19 @@ def route_coordinated(problem: Problem, settings: RoutingSettings, rng: np.rando
     )
     kernels.start_directly(phys, plans, problem.separation_mm, settings.margin_mm)
     bound = problem.alone_s.max(initial=0.0)
-    for stretch in STRETCHES:
-        if not plans.n_conflict.any():
-            break
-        kernels.repair(phys, plans, rng, bound * stretch, settings.n_repair, 12, problem.separation_mm, settings.margin_mm)
+    if plans.n_conflict.any():
+        kept = kernels.new_plans(
+            problem.start_mm,
+            problem.start_theta_deg,
+            problem.goal_mm,
+            plate.park_mm,
+            plate.patrol_radius_mm,
+            plate.is_live,
+            problem.alone_s,
+        )
+        kernels.coordinate(
+            phys, plans, kept, rng, bound, QUICK, settings.n_repair, 12, problem.separation_mm, settings.margin_mm
+        )
     reason = np.zeros(problem.n_robot, dtype=np.int8)
     reason[plans.n_conflict > 0] = UnroutedReason.NO_PATH
     return legs_of(problem, plans), reason

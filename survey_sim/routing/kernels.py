@@ -109,12 +109,16 @@ class Physics(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A plan being tried: way points, and the knots they give."""
+    """A plan being tried: way points, and the knots they give.
+
+    Leg m starts while the robot stands between knots leave[m] and leave[m] + 1; leave[0] is -1, the rest before it all.
+    """
 
     x: np.ndarray
     y: np.ndarray
     turned: np.ndarray
     wait: np.ndarray
+    leave: np.ndarray
     kt: np.ndarray
     kx: np.ndarray
     ky: np.ndarray
@@ -128,6 +132,7 @@ def new_shape():
         np.zeros(MAX_LEGS),
         np.zeros(MAX_LEGS, dtype=np.bool_),
         np.zeros(MAX_LEGS),
+        np.zeros(MAX_LEGS, dtype=np.int64),
         np.zeros(MAX_KNOTS),
         np.zeros(MAX_KNOTS),
         np.zeros(MAX_KNOTS),
@@ -164,8 +169,7 @@ def build_knots(phys, shape, n_leg, x0, y0, theta, reach_x, reach_y, reach):
     for m in range(n_leg):
         x1, y1 = shape.x[m], shape.y[m]
         ex, ey = x1 - x0, y1 - y0
-        if m > 0:
-            t += shape.wait[m]
+        t += shape.wait[m]
         if shape.turned[m]:
             turn = turn_deg(theta, ex, ey)
             theta += turn
@@ -177,9 +181,11 @@ def build_knots(phys, shape, n_leg, x0, y0, theta, reach_x, reach_y, reach):
             cx, cy, a, b = x0 + c * along, y0 + s * along, abs(along), abs(c * ey - s * ex)
             if not is_inside(phys, cx, cy, reach_x, reach_y, reach):
                 return 0, 0.0
-        if n == 1 and m == 0:
+        if m == 0:
             kt[0] = t
-        elif t > kt[n - 1]:
+            shape.leave[0] = -1
+        else:
+            shape.leave[m] = n - 1
             kt[n], kx[n], ky[n] = t, x0, y0
             n += 1
         slow_from = a + b - (min(phys.approach, a + b) if m == n_leg - 1 else 0.0)
@@ -217,8 +223,8 @@ def is_inside(phys, x, y, reach_x, reach_y, reach):
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# Forbidden start delays. Robot i goes through its shape, started late by d; robot j keeps its own times. For one straight
-# piece of each, positions a + u s and b + w tau with (s, tau) in a box, the pairs nearer than r fill an ellipse cut by the
+# Forbidden delays. Robot i goes through its shape, late by d from one of its rests on (its start, or a way point); robot j
+# keeps its own times. For one straight piece of each, positions a + u s and b + w tau with (s, tau) in a box, the pairs nearer than r fill an ellipse cut by the
 # box: convex, so its projection on tau - s is one interval, found from the box's edges and the ellipse's two tangents.
 
 
@@ -285,10 +291,11 @@ def _piece(kt, kx, ky, n, p):
 
 
 @njit(cache=True)
-def forbidden_delays(at, ax, ay, na, bt, bx, by, nb, r, delay_max, lo, hi):
-    """Delays d in (lo, hi) that bring shape a, started d late, within r of trajectory b.
+def forbidden_delays(at, ax, ay, na, rest, bt, bx, by, nb, r, delay_max, lo, hi):
+    """Delays d in (lo, hi) that bring shape a, late by d from piece `rest` on, within r of trajectory b.
 
-    Returns how many intervals were written: disjoint, ascending, each open; only those that meet [0, delay_max].
+    Piece `rest` is a stand, which the delay lengthens: -1 for the one before the shape starts. Returns how many intervals
+    were written: disjoint, ascending, each open; only those that meet [0, delay_max].
     """
     r2 = r * r
     n = 0
@@ -301,12 +308,12 @@ def forbidden_delays(at, ax, ay, na, bt, bx, by, nb, r, delay_max, lo, hi):
         is_still = ux == 0.0 and uy == 0.0
         for q in range(-1, nb):
             first_q, last_q = max(q, 0), min(q + 1, nb - 1)
-            if bx[first_q] < box_x0 and bx[last_q] < box_x0 or bx[first_q] > box_x1 and bx[last_q] > box_x1:
+            if max(bx[first_q], bx[last_q]) < box_x0 or min(bx[first_q], bx[last_q]) > box_x1:
                 continue
-            if by[first_q] < box_y0 and by[last_q] < box_y0 or by[first_q] > box_y1 and by[last_q] > box_y1:
+            if max(by[first_q], by[last_q]) < box_y0 or min(by[first_q], by[last_q]) > box_y1:
                 continue
             b0, b1, qx, qy, wx, wy = _piece(bt, bx, by, nb, q)
-            if b1 <= a0 or b0 >= a1 + delay_max:
+            if b1 <= a0 or b0 >= a1 + (delay_max if p >= rest else 0.0):
                 continue
             cx, cy = px - qx, py - qy
             if wx == 0.0 and wy == 0.0:
@@ -330,6 +337,14 @@ def forbidden_delays(at, ax, ay, na, bt, bx, by, nb, r, delay_max, lo, hi):
                 if shift0 >= shift1:
                     continue
                 d0, d1 = b0 - a0 + shift0, b0 - a0 + shift1
+            if p < rest:
+                # Before the delay: near or not, whatever the delay.
+                if d0 >= 0.0 or d1 <= 0.0:
+                    continue
+                d0, d1 = -np.inf, np.inf
+            elif p == rest and d1 > 0.0:
+                # The stand begins on time and ends late.
+                d1 = np.inf
             if d1 <= 0.0 or d0 >= delay_max + SAME_DELAY_S:
                 continue
             n = _insert_interval(lo, hi, n, d0, d1)
@@ -494,18 +509,19 @@ def _boxes_apart(box, i, j, r):
 
 
 @njit(cache=True)
-def set_plan(plans, i, shape, n_leg, n_knot, delay, separation, margin):
-    """Give robot i the shape, started after `delay`, and find its conflicts."""
+def set_plan(plans, i, shape, n_leg, n_knot, late_leg, delay, separation, margin):
+    """Give robot i the shape, late by `delay` from leg `late_leg` on, and find its conflicts."""
     plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
     for m in range(n_leg):
         plans.x[i, m], plans.y[i, m] = shape.x[m], shape.y[m]
         plans.turned[i, m] = shape.turned[m]
-        plans.wait[i, m] = shape.wait[m] if m > 0 else delay
+        plans.wait[i, m] = shape.wait[m] + (delay if m == late_leg else 0.0)
     box = plans.box[i]
     box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
     for k in range(n_knot):
         x, y = shape.kx[k], shape.ky[k]
-        plans.kt[i, k], plans.kx[i, k], plans.ky[i, k] = shape.kt[k] + delay, x, y
+        late = delay if k > shape.leave[late_leg] else 0.0
+        plans.kt[i, k], plans.kx[i, k], plans.ky[i, k] = shape.kt[k] + late, x, y
         box[0], box[1], box[2], box[3] = min(box[0], x), max(box[1], x), min(box[2], y), max(box[3], y)
     find_conflicts(plans, i, len(plans.start), separation, margin)
 
@@ -544,8 +560,8 @@ def new_events():
 
 
 @njit(cache=True)
-def best_delay(plans, i, shape, n_knot, delay_max, separation, margin, limit, events):
-    """Least weight of conflicts over all start delays of a shape, and the earliest delay that has it.
+def best_delay(plans, i, shape, n_knot, late_leg, delay_max, separation, margin, limit, events):
+    """Least weight of conflicts over all delays of a shape from one leg on, and the least delay that has it.
 
     Gives up with infinite weight once no delay can be below `limit`.
     """
@@ -561,7 +577,7 @@ def best_delay(plans, i, shape, n_knot, delay_max, separation, margin, limit, ev
             continue
         r = pair_radius(plans, i, j, separation, margin)
         m = forbidden_delays(
-            shape.kt, shape.kx, shape.ky, n_knot,
+            shape.kt, shape.kx, shape.ky, n_knot, shape.leave[late_leg],
             plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j],
             r, delay_max, events.pair_lo, events.pair_hi,
         )  # fmt: skip
@@ -599,6 +615,7 @@ def direct_shape(phys, plans, i, option, shape):
     """Way points of a plan without detour: 0 turned, 1 x then y, 2 y then x; returns (n_leg, n_knot, time)."""
     x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
     n_leg = 1
+    shape.leave[0] = -1
     if x0 == x1 and y0 == y1:
         shape.kt[0], shape.kx[0], shape.ky[0] = 0.0, x0, y0
         return 0, 1, 0.0
@@ -616,42 +633,81 @@ def direct_shape(phys, plans, i, option, shape):
 
 
 @njit(cache=True)
-def _set_way(phys, plans, i, m, x, y, shape):
-    """Way point m, unless it is out of reach."""
-    shape.x[m], shape.y[m], shape.wait[m] = x, y, 0.0
-    return is_inside(phys, x, y, plans.park[i, 0], plans.park[i, 1], plans.reach[i])
+def _pick_partner(plans, rng, i):
+    """One of the robots in conflict with i, or -1."""
+    partner, n_seen = -1, 0
+    if plans.n_conflict[i] > 0:
+        for j in range(len(plans.start)):
+            if plans.conflict[i, j]:
+                n_seen += 1
+                if rng.random() * n_seen < 1.0:
+                    partner = j
+    return partner
 
 
 @njit(cache=True)
-def sample_shape(phys, plans, rng, i, duration, shape):
-    """A random detour: past the line, aside near the start or the goal, or two way points; (n_leg, n_knot, time)."""
+def _clear_of(plans, rng, i, j, separation):
+    """A point just clear of robot j: beside the line of its plan, or around a place where it stands."""
+    k = int(rng.random() * plans.n_knot[j])
+    x, y = plans.kx[j, k], plans.ky[j, k]
+    far = separation * (1.0 + 0.3 * rng.random() ** 2)
+    last = plans.n_knot[j] - 1
+    if last == 0 or rng.random() < 0.3:
+        angle = 2.0 * np.pi * rng.random()
+        return x + far * np.cos(angle), y + far * np.sin(angle)
+    k = int(rng.random() * last)
+    x, y = plans.kx[j, k], plans.ky[j, k]
+    ex, ey = plans.kx[j, k + 1] - x, plans.ky[j, k + 1] - y
+    length = np.hypot(ex, ey)
+    if length == 0.0:
+        return x + far, y
+    side = far / length if rng.random() < 0.5 else -far / length
+    # Beside the start or the goal of i, or anywhere along the line.
+    f = rng.random()
+    if f < 0.7:
+        px, py = plans.start[i, 0], plans.start[i, 1]
+        if f < 0.3:
+            px, py = plans.goal[i, 0], plans.goal[i, 1]
+        f = ((px - x) * ex + (py - y) * ey) / (length * length) + 0.3 * (rng.random() - 0.5)
+    return x + f * ex - side * ey, y + f * ey + side * ex
+
+
+@njit(cache=True)
+def sample_shape(phys, plans, rng, i, duration, separation, shape):
+    """A random detour of one or two way points; (n_leg, n_knot, time, leg to be delayed), n_knot 0 if it cannot be."""
     x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
     ex, ey = x1 - x0, y1 - y0
     length = np.hypot(ex, ey)
     spare = max(0.0, (duration - plans.alone[i]) * phys.coarse)
     aside = min(25.0, np.sqrt((length + spare) ** 2 - length * length) / 2)
-    kind = rng.random()
-    n_via = 1
-    if length == 0.0 or kind < 0.25:
-        angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
-        ok = _set_way(phys, plans, i, 0, x0 + far * np.cos(angle), y0 + far * np.sin(angle), shape)
-    elif kind < 0.5:
-        angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
-        ok = _set_way(phys, plans, i, 0, x1 + far * np.cos(angle), y1 + far * np.sin(angle), shape)
-    elif kind < 0.85:
-        f, h = rng.random(), aside * (2.0 * rng.random() - 1.0) / length
-        ok = _set_way(phys, plans, i, 0, x0 + f * ex - h * ey, y0 + f * ey + h * ex, shape)
-    else:
-        n_via = 2
-        f0, f1 = rng.random(), rng.random()
-        f0, f1 = min(f0, f1), max(f0, f1)
-        h = aside * (2.0 * rng.random() - 1.0) / length
-        ok = _set_way(phys, plans, i, 0, x0 + f0 * ex - h * ey, y0 + f0 * ey + h * ex, shape)
-        h = aside * (2.0 * rng.random() - 1.0) / length
-        ok = ok and _set_way(phys, plans, i, 1, x0 + f1 * ex - h * ey, y0 + f1 * ey + h * ex, shape)
-    if not ok:
-        return 0, 0, 0.0
-    _set_way(phys, plans, i, n_via, x1, y1, shape)
+    partner = _pick_partner(plans, rng, i)
+    n_via = 1 if rng.random() < 0.8 else 2
+    is_varied = plans.n_leg[i] > 1 and rng.random() < 0.4
+    if is_varied:
+        n_via = plans.n_leg[i] - 1
+        scatter = 5.0 * rng.random() ** 3
+    for m in range(n_via):
+        if is_varied:
+            # The present way points, a little off.
+            x, y = plans.x[i, m] + scatter * (2.0 * rng.random() - 1.0), plans.y[i, m] + scatter * (2.0 * rng.random() - 1.0)
+            if not is_inside(phys, x, y, plans.park[i, 0], plans.park[i, 1], plans.reach[i]):
+                return 0, 0, 0.0, 0
+            shape.x[m], shape.y[m] = x, y
+            continue
+        kind = rng.random()
+        if kind < 0.4 and partner >= 0:
+            x, y = _clear_of(plans, rng, i, partner, separation)
+        elif kind < 0.6 or length == 0.0:
+            angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
+            at_start = rng.random() * n_via > m
+            x, y = (x0 if at_start else x1) + far * np.cos(angle), (y0 if at_start else y1) + far * np.sin(angle)
+        else:
+            f, h = (m + rng.random()) / n_via, aside * (2.0 * rng.random() - 1.0) / length
+            x, y = x0 + f * ex - h * ey, y0 + f * ey + h * ex
+        if not is_inside(phys, x, y, plans.park[i, 0], plans.park[i, 1], plans.reach[i]):
+            return 0, 0, 0.0, 0
+        shape.x[m], shape.y[m] = x, y
+    shape.x[n_via], shape.y[n_via] = x1, y1
     n_leg = n_via + 1
     theta, total, px, py = plans.theta[i], 0.0, x0, y0
     for m in range(n_leg):
@@ -663,36 +719,40 @@ def sample_shape(phys, plans, rng, i, duration, shape):
             theta = turned_theta
         total += turned_s if shape.turned[m] else square_s
         px, py = shape.x[m], shape.y[m]
+        shape.wait[m] = 0.0
     if total > duration:
-        return 0, 0, 0.0
-    if rng.random() < 0.5 or length == 0.0:
-        shape.wait[1 + int(rng.random() * n_via)] = (duration - total) * rng.random()
+        return 0, 0, 0.0, 0
+    # One wait is found exactly; now and then another is tried at random.
+    if rng.random() < 0.25:
+        shape.wait[int(rng.random() * n_leg)] = (duration - total) * rng.random()
+    late_leg = int(rng.random() * n_leg)
     n_knot, t = build_knots(phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i])
-    return n_leg, n_knot, t
+    return n_leg, n_knot, t, late_leg
 
 
 @njit(cache=True)
 def replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events):
     """Plan robot i again: the direct shapes, then sampled detours, for the least weight of conflicts within `duration`."""
-    least, best_legs, best_knots, delay = np.inf, -1, 0, 0.0
+    least, best_legs, best_knots, delay, late_best = np.inf, -1, 0, 0.0, 0
     for option in range(3 + n_sample):
+        late_leg = 0
         if option < 3:
             n_leg, n_knot, t = direct_shape(phys, plans, i, option, shape)
         else:
-            n_leg, n_knot, t = sample_shape(phys, plans, rng, i, duration, shape)
+            n_leg, n_knot, t, late_leg = sample_shape(phys, plans, rng, i, duration, separation, shape)
         if n_knot == 0 or t > duration + SAME_DELAY_S:
             continue
         delay_max = max(0.0, duration - t)
-        score, d = best_delay(plans, i, shape, n_knot, delay_max, separation, margin, least, events)
+        score, d = best_delay(plans, i, shape, n_knot, late_leg, delay_max, separation, margin, least, events)
         if score < least:
-            least, best_legs, best_knots, delay = score, n_leg, n_knot, d
+            least, best_legs, best_knots, delay, late_best = score, n_leg, n_knot, d, late_leg
             _copy_shape(shape, best, n_leg, n_knot)
             if score == 0.0:
                 break
-        if n_leg == 0 and option == 0 and n_sample == 0:
+        if n_leg == 0 and n_sample == 0:
             break
     if best_legs >= 0:
-        set_plan(plans, i, best, best_legs, best_knots, delay, separation, margin)
+        set_plan(plans, i, best, best_legs, best_knots, late_best, delay, separation, margin)
     return least
 
 
@@ -700,7 +760,7 @@ def replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, b
 def _copy_shape(source, target, n_leg, n_knot):
     for m in range(n_leg):
         target.x[m], target.y[m] = source.x[m], source.y[m]
-        target.turned[m], target.wait[m] = source.turned[m], source.wait[m]
+        target.turned[m], target.wait[m], target.leave[m] = source.turned[m], source.wait[m], source.leave[m]
     for k in range(n_knot):
         target.kt[k], target.kx[k], target.ky[k] = source.kt[k], source.kx[k], source.ky[k]
 
@@ -738,16 +798,19 @@ def set_plan_alone(plans, i, shape, n_leg, n_knot):
 
 @njit(cache=True)
 def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
-    """Plan robots in conflict again until none is, or the steps are used up; returns the number of robots in conflict."""
+    """Plan robots that are late or in conflict again until none is; returns the number of steps, -1 if they were too few."""
     n = len(plans.start)
     shape, best, events = new_shape(), new_shape(), new_events()
+    for i in range(n):
+        if plans.kt[i, plans.n_knot[i] - 1] > duration + SAME_DELAY_S:
+            replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events)
     # Robots with most time to spare first: they have most delays to choose from.
     order = np.argsort(plans.alone)
     for _ in range(2):
         for i in order:
             if plans.n_conflict[i] > 0 and plans.is_free[i]:
                 replan(phys, plans, rng, i, duration, 0, separation, margin, shape, best, events)
-    for _ in range(n_step):
+    for step in range(n_step):
         i, n_seen = -1, 0
         for k in range(n):
             if plans.n_conflict[k] > 0 and plans.is_free[k]:
@@ -755,7 +818,7 @@ def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
                 if rng.random() * n_seen < 1.0:
                     i = k
         if i < 0:
-            break
+            return step
         before = 0.0
         for j in range(n):
             if plans.conflict[i, j]:
@@ -766,7 +829,56 @@ def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
                 if plans.conflict[i, j]:
                     plans.weight[i, j] += 1.0
                     plans.weight[j, i] += 1.0
-    return (plans.n_conflict > 0).sum()
+    return -1
+
+
+@njit(cache=True)
+def copy_plans(source, target):
+    """Overwrite the plans and conflicts of `target`; weights are not copied."""
+    target.n_leg[:], target.x[:], target.y[:] = source.n_leg, source.x, source.y
+    target.turned[:], target.wait[:] = source.turned, source.wait
+    target.n_knot[:], target.kt[:], target.kx[:], target.ky[:] = source.n_knot, source.kt, source.kx, source.ky
+    target.box[:], target.conflict[:], target.n_conflict[:] = source.box, source.conflict, source.n_conflict
+
+
+@njit(cache=True)
+def last_arrival(plans):
+    """When the last robot comes to rest, s."""
+    latest = 0.0
+    for i in range(len(plans.start)):
+        latest = max(latest, plans.kt[i, plans.n_knot[i] - 1])
+    return latest
+
+
+@njit(cache=True)
+def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separation, margin):
+    """Plans without conflict, as near to `bound` as is found; returns whether there are any.
+
+    First at the bound; then at longer durations, until one is found; then back down, from plans that hold, by halves.
+    """
+    if repair(phys, plans, rng, bound, n_quick, n_sample, separation, margin) >= 0:
+        return True
+    failed, stretch = bound, 1.02
+    while True:
+        if repair(phys, plans, rng, bound * stretch, n_quick, n_sample, separation, margin) >= 0:
+            break
+        failed = bound * stretch
+        if stretch > 8.0:
+            return False
+        stretch = 1.0 + 1.6 * (stretch - 1.0)
+    done = 0
+    while done < n_step:
+        copy_plans(plans, kept)
+        found = last_arrival(kept)
+        if found - failed < 0.002 * bound:
+            break
+        trial = max(bound, found - max(0.5 * (found - failed), 0.002 * bound))
+        used = repair(phys, plans, rng, trial, n_quick, n_sample, separation, margin)
+        done += n_quick if used < 0 else used + 1
+        if used < 0:
+            copy_plans(kept, plans)
+            failed = trial
+    return True
 
 
 @njit(cache=True)
