@@ -3,7 +3,6 @@
 They call each other, so they share a module: numba's cache on disk does not notice an edit in another file.
 """
 
-# ruff: noqa: PLR0917
 # mypy: allow-untyped-defs
 
 import numpy as np

@@ -7,8 +7,8 @@ from survey_sim.allocation.kernels import pick_apart, take_in_order
 from survey_sim.allocation.matching_kernels import match_apart
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, STANDARD, FloatArray, IntArray
 
-# Worth of a fibre that the visit must have, in science targets: a target has at most five neighbours that are apart from each
-# other and from it no more than the separation allows, so nothing that it displaces is worth as much.
+# Worth of a fibre that the visit must have, in science targets: at most five targets near one are apart from each other, so
+# nothing that it displaces is worth as much.
 NEEDED_VALUE = 10.0
 # Priorities 1 to 9 differ by whole steps of priority_gain / 8; more steps to a unit than this are below the rounding.
 PRIORITY_STEPS = PRIORITY_RANGE[1] - PRIORITY_RANGE[0]
@@ -56,9 +56,12 @@ def match(field: Field, start_mm: FloatArray, is_open: BoolArray, is_pair_open: 
     step = n_robot * min(MAX_STEPS, max(1.0, PRIORITY_STEPS / max(field.settings.priority_gain, 1e-12)))
     pair, _, _ = match_apart(
         n_robot, greatest * step, field.reach_first, field.reach_robot, is_usable, target,
-        (greatest - value[target]) * step + travel, field.near_first, field.near, field.xy_mm, field.separation_mm, MAX_NODES,
+        (greatest - value[target]) * step + travel, field.near_first, field.near, field.xy_mm, field.separation_mm,
+        MAX_NODES,
     )  # fmt: skip
-    return np.where(pair >= 0, target[np.maximum(pair, 0)], -1)
+    held = np.full(n_robot, -1, dtype=np.int64)
+    held[pair >= 0] = target[pair[pair >= 0]]
+    return held
 
 
 def pick_calibration(field: Field, is_open: BoolArray) -> tuple[BoolArray, FloatArray]:

@@ -1,17 +1,18 @@
 """Kernels of the exact matching of one visit: shortest augmenting paths, and branch and bound over targets too close.
 
-The relaxed problem is an assignment of robots to groups of targets. A group is a clique: targets of which any two are nearer
-than the separation, so that at most one of them can be held; at first each target is its own group. Where the assignment holds
-two targets of different groups too close to each other, the groups are merged if they form one clique; otherwise the search
-branches on one of the two: without it, or without all that are near it. Every relaxed cost is a lower bound.
+The relaxed problem is an assignment of robots to groups of targets. A group is a clique: targets of which any two are
+nearer than the separation, so that at most one of them can be held; at first each target is its own group. Where the
+assignment holds two targets of different groups too close to each other, the groups are merged if they form one clique;
+otherwise the search branches on one of the two: without it, or without all that are near it. Every relaxed cost is a lower
+bound.
 
-State of the relaxed problem, as flat arrays: `u` (n_robot,) and `v` (n_target,) duals of robots and groups (v <= 0, and 0 for a
-group without a robot); `pair` (n_robot,) index of the pair held, `IDLE` or `FREE` (not yet solved); `holder` (n_target,) robot of each
-group or -1; `group` (n_target,) the group of each target; `ring` (n_target,) next member of the group, in a ring; `shut` (n_target,)
-targets left out.
+State of the relaxed problem, as flat arrays: `u` (n_robot,) and `v` (n_target,) duals of robots and groups (v <= 0, and 0
+for a group without a robot); `pair` (n_robot,) index of the pair held, `IDLE` or `FREE` (not yet solved); `holder`
+(n_target,) robot of each group or -1; `group` (n_target,) the group of each target; `ring` (n_target,) next member of the
+group, in a ring; `shut` (n_target,) targets left out.
 """
 
-# ruff: noqa: PLR0917
+# ruff: noqa: PLR0912, PLR0915
 # mypy: allow-untyped-defs
 
 import numpy as np
@@ -184,10 +185,7 @@ def _shut_out(
     u, v, pair, holder, group, ring, shut, label, by_pair,
 ):  # fmt: skip
     """Leave out one target, or (if `is_near`) all that are near it, and mend the assignment."""
-    if is_near:
-        out = near[near_first[t] : near_first[t + 1]]
-    else:
-        out = np.full(1, t, np.int32)
+    out = near[near_first[t] : near_first[t + 1]] if is_near else np.full(1, t, np.int32)
     freed_robot = np.empty(len(out), np.int64)
     freed_group = np.empty(len(out), np.int64)
     n = 0
@@ -208,7 +206,8 @@ def _shut_out(
         )  # fmt: skip
     for k in range(n):
         _assign(
-            freed_robot[k], idle_cost, own_first, own_pair, pair_target, cost, u, v, pair, holder, group, shut, label, by_pair
+            freed_robot[k], idle_cost, own_first, own_pair, pair_target, cost,
+            u, v, pair, holder, group, shut, label, by_pair,
         )  # fmt: skip
 
 
@@ -293,7 +292,8 @@ def _total(pair, cost, idle_cost):
 
 @njit(cache=True)
 def match_apart(
-    n_robot, idle_cost, reach_first, reach_robot, is_pair_open, pair_target, cost, near_first, near, xy, separation, max_nodes
+    n_robot, idle_cost, reach_first, reach_robot, is_pair_open, pair_target, cost,
+    near_first, near, xy, separation, max_nodes,
 ):  # fmt: skip
     """Cheapest set of pairs in which no robot or target is used twice and no two targets are too close.
 

@@ -1,0 +1,1 @@
+"""Upper bounds of completeness: what no allocator can beat."""
