@@ -1,5 +1,6 @@
 """Where the data folders are: beside the package in a checkout, inside it once installed from a wheel."""
 
+import os
 from pathlib import Path
 
 from survey_sim.errors import InputError, did_you_mean
@@ -29,3 +30,11 @@ def find_pipeline(name: str | Path) -> Path:
     if path.parent.name in {"", "pipelines"} and stem in shipped:
         return shipped[stem]
     raise InputError("no such file", file=path, remedy=did_you_mean(stem, shipped))
+
+
+def cache_folder() -> Path:
+    """Folder of made catalogues, shared by all runs of this user; the variable SURVEY_SIM_CACHE names another."""
+    if named := os.environ.get("SURVEY_SIM_CACHE"):
+        return Path(named)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "survey-sim"

@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -12,6 +12,9 @@ from survey_sim.errors import InputError, did_you_mean
 
 class Settings(BaseModel):
     """Frozen settings; unknown keys, NaN and infinities are errors."""
+
+    # Names of inner fields that the user's file does not spell, left out of the places that errors name.
+    unspoken_keys: ClassVar[frozenset[str]] = frozenset()
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -46,7 +49,7 @@ def _input_error(model: type[Settings], failure: ValidationError, file: str | Pa
     """The first fault of a validation, in our words; the rest are counted."""
     errors = failure.errors()
     first = errors[0]
-    keys = [str(part) for part in first["loc"]]
+    keys = [str(part) for part in first["loc"] if part not in model.unspoken_keys]
     place = ".".join([section, *keys] if section else keys)
     more = f" (and {len(errors) - 1} more faults)" if len(errors) > 1 else ""
     if first["type"] == "extra_forbidden":

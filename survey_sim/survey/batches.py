@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -77,8 +77,15 @@ def run_batches(batches: Sequence[Batch], workers: Workers) -> Iterator[BatchRes
         yield from map(run_batch, batches)
         return
     _quiet_dask()
+    _compile_kernels(batches[0].jobs[0])
     with _client(workers, len(batches)) as client:
         yield from _stream_results(client, batches)
+
+
+def _compile_kernels(job: TileJob) -> None:
+    """Fill the kernels' cache on disk once, so that workers read it rather than all compile the same: a small tile does."""
+    one_visit = job.allocation.model_copy(update={"visits": 1})
+    simulate_tile(replace(job, targets=job.targets.head(100), allocation=one_visit))
 
 
 def _stream_results(client: Client, batches: Sequence[Batch]) -> Iterator[BatchResult]:

@@ -16,7 +16,6 @@ from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
 from survey_sim.routing import RoutingSettings
 from survey_sim.schedule import ScheduleSettings
 from survey_sim.settings import Settings, read_toml
-from survey_sim.simulation import SimulationSettings
 from survey_sim.tiling import TilingSettings
 
 
@@ -92,13 +91,14 @@ class OutputSettings(Settings):
 class PipelineSettings(Settings):
     """Everything that a run depends on, besides its catalogues."""
 
+    unspoken_keys = frozenset({"every"})
+
     run: RunSettings
     instrument: InstrumentChoice = InstrumentChoice()
     programme: tuple[ProgrammeSettings, ...] = Field(min_length=1)
     tiling: TilingSettings = TilingSettings()
     allocation: AllocationChoice = AllocationChoice()
     routing: RoutingSettings = RoutingSettings()
-    simulation: SimulationSettings = SimulationSettings()
     schedule: ScheduleSettings = ScheduleSettings()
     report: ReportSettings = ReportSettings()
     output: OutputSettings = OutputSettings()

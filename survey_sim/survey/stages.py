@@ -11,8 +11,8 @@ from typing import Any
 import polars as pl
 
 from survey_sim import tables
-from survey_sim.catalogue import default_cache_folder, input_files, make_targets
-from survey_sim.folders import data_folder
+from survey_sim.catalogue import load_card, make_targets
+from survey_sim.folders import cache_folder, data_folder
 from survey_sim.instrument import robots_table
 from survey_sim.schema import TABLES
 from survey_sim.survey.batches import Batch, BatchResult, run_batches
@@ -37,7 +37,7 @@ def select_targets(run: Run) -> None:
     """Catalogues -> selected targets (no tile yet) and rejected rows."""
     settings = run.settings
     made = make_targets(
-        settings.programme, settings.tiling.region, settings.run.seed, data_folder("catalogues"), default_cache_folder()
+        settings.programme, settings.tiling.region, settings.run.seed, data_folder("catalogues"), cache_folder()
     )
     tables.write(made.targets, "targets", selected_path(run))
     tables.write(made.rejected, "rejected", run.table("rejected"))
@@ -89,11 +89,11 @@ def make_batches(run: Run) -> list[Batch]:
     shared = members(tiles, targets, run.instrument.field_radius_deg)
     fixed = _digest(parameters(run, "visits"), code_digest(*STAGE_ROOMS["visits"]))
     batches = []
+    own = targets.filter(kind="science").partition_by("survey", "tile_id", as_dict=True)
     for survey in run.settings.surveys:
-        of_survey = tiles.filter(survey=survey)
-        own = targets.filter(survey=survey, kind="science").partition_by("tile_id", as_dict=True)
+        of_survey = tiles.with_row_index("place").filter(survey=survey)
         for chunk in of_survey.iter_slices(run.settings.output.tiles_per_part):
-            jobs = tuple(_job(run, row, own, shared, targets) for row in chunk.iter_rows(named=True))
+            jobs = tuple(_job(run, row, own, targets[shared.of(row["place"])]) for row in chunk.iter_rows(named=True))
             content = [job.targets.write_ipc(None).getvalue() for job in jobs]
             centres = json.dumps([(job.tile_id, job.centre_deg) for job in jobs])
             name = f"{survey}-{jobs[0].tile_id:05d}"
@@ -139,8 +139,10 @@ def draw_report(run: Run) -> None:
 
 
 def catalogue_files(run: Run) -> list[Path]:
-    """Cards and files that the run's programmes read."""
-    return input_files(run.settings.programme, data_folder("catalogues"), default_cache_folder())
+    """Cards and tables that the run's programmes read; a mock depends on its card alone."""
+    names = {programme.catalogue for programme in run.settings.programme if programme.catalogue is not None}
+    cards = [load_card(name, data_folder("catalogues")) for name in sorted(names)]
+    return sorted({path for card in cards for path in (card.path, card.data) if path is not None})
 
 
 def selected_path(run: Run) -> Path:
@@ -170,12 +172,9 @@ def _warn(run: Run, stage: str, warnings: Sequence[str]) -> None:
         run.console.print(f"  [yellow]warning:[/yellow] {warning}")
 
 
-def _job(
-    run: Run, tile: dict[str, Any], own: dict[Any, pl.DataFrame], shared: dict[Any, Sequence[int]], targets: pl.DataFrame
-) -> TileJob:
-    key = (tile["survey"], tile["tile_id"])
-    science = own.get((tile["tile_id"],), targets.clear())
-    rows = pl.concat([science, targets[shared[key]]]).sort("target_id")
+def _job(run: Run, tile: dict[str, Any], own: dict[Any, pl.DataFrame], shared: pl.DataFrame) -> TileJob:
+    science = own.get((tile["survey"], tile["tile_id"]), shared.clear())
+    rows = pl.concat([science, shared]).sort("target_id")
     settings = run.settings
     return TileJob(
         survey=tile["survey"],

@@ -1,0 +1,163 @@
+"""Targets of one field from a file that a person has: VOTable, FITS, CSV or Parquet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from survey_sim.allocation import FieldTargets
+from survey_sim.errors import InputError
+from survey_sim.exchange import CATALOGUE, read, read_columns
+from survey_sim.geometry import plate_to_sky, sky_to_plate
+from survey_sim.instrument import Plate
+from survey_sim.region import healpix_29
+from survey_sim.schema import TABLES
+
+SURVEY = "field"
+# Where a field whose place on the sky nobody gave is put.
+NOWHERE_DEG = (0.0, 0.0)
+_SUFFIXES = {".xml": "votable", ".vot": "votable", ".votable": "votable", ".gz": "votable"}
+_SUFFIXES |= {".fits": "fits", ".fit": "fits", ".csv": "csv", ".parquet": "parquet"}
+
+
+def read_targets(path: Path, plate: Plate, centre_deg: tuple[float, float] | None) -> pl.DataFrame:
+    """Targets of one field, as rows of `targets` with their plate positions.
+
+    Parameters
+    ----------
+    path
+        Needs `target_id`, and `x_mm`, `y_mm` or (with a centre) `ra_deg`, `dec_deg`; may have `kind` (science by default),
+        `priority` (9), `wanted_visits` (1), `mag`, `source_id`. VOTable and FITS columns are brought to these units by their own.
+    centre_deg
+        Right ascension and declination of the field centre; sky positions are then those that count.
+
+    Returns
+    -------
+        Columns of `targets` but tile-less ones, `x_mm` and `y_mm`; sorted as `targets` is.
+
+    Raises
+    ------
+    InputError
+        With the file, and column, rule and rows of what is wrong.
+    """
+    frame = _read(path)
+    for name in ("kind",):
+        if name in frame.columns and frame[name].dtype == pl.String:
+            frame = frame.with_columns(pl.col(name).fill_null("science"))
+    frame = _placed(frame, path, plate, centre_deg)
+    try:
+        checked = FieldTargets.from_table(frame)
+    except InputError as fault:
+        raise InputError(fault.rule, file=path, place=fault.place, rows=fault.rows, remedy=fault.remedy) from None
+    return _as_targets(frame, checked, plate, centre_deg or NOWHERE_DEG)
+
+
+def field_targets(targets: pl.DataFrame) -> FieldTargets:
+    """What the allocator takes."""
+    return FieldTargets.from_table(targets.drop("programme"))
+
+
+def targets_table(targets: pl.DataFrame) -> pl.DataFrame:
+    """Rows of the run's `targets`."""
+    return targets.select(TABLES["targets"].names)
+
+
+def _read(path: Path) -> pl.DataFrame:
+    form = _SUFFIXES.get(path.suffix.lower())
+    if form is None:
+        raise InputError("is of no known kind", file=path, remedy=f"name it {', '.join(sorted(_SUFFIXES))}")
+    if not path.is_file():
+        raise InputError("no such file", file=path, remedy="check the path")
+    if form == "votable":
+        return read(path, CATALOGUE).table()
+    try:
+        if form == "fits":
+            return _read_fits(path)
+        frame = pl.read_csv(path, infer_schema_length=None) if form == "csv" else pl.read_parquet(path)
+    except (pl.exceptions.PolarsError, OSError, ValueError) as failure:
+        if isinstance(failure, InputError):
+            raise
+        raise InputError(f"is not readable {form.upper()}: {failure}", file=path, remedy="write the file again") from None
+    known = [column.name for column in CATALOGUE.tables[0].columns if column.name in frame.columns]
+    if "target_id" not in known:
+        raise InputError("no column 'target_id'", file=path, remedy=f"has {', '.join(frame.columns)}")
+    return _typed(frame.select(known), path)
+
+
+def _typed(frame: pl.DataFrame, path: Path) -> pl.DataFrame:
+    """Numbers where numbers are meant."""
+    for column in CATALOGUE.tables[0].columns:
+        if column.name not in frame.columns or column.name == "kind":
+            continue
+        given = frame[column.name]
+        typed = given.cast(column.dtype, strict=False)
+        broken = typed.is_null() & given.is_not_null()
+        if given.dtype.is_float() and column.dtype.is_integer():
+            broken |= (given != given.floor()).fill_null(False)
+        if broken.any():
+            kind = "whole number" if column.dtype.is_integer() else "number"
+            raise InputError(f"not a {kind}", file=path, place=column.name, rows=broken.arg_true().to_list())
+        frame = frame.with_columns(typed)
+    return frame
+
+
+def _read_fits(path: Path) -> pl.DataFrame:
+    from astropy.table import Table  # noqa: PLC0415 - slow to import
+
+    return read_columns(Table.read(path, hdu=1), path, CATALOGUE.tables[0])
+
+
+def _placed(frame: pl.DataFrame, path: Path, plate: Plate, centre_deg: tuple[float, float] | None) -> pl.DataFrame:
+    """The frame with plate positions."""
+    has_sky = {"ra_deg", "dec_deg"} <= set(frame.columns)
+    if has_sky and centre_deg is not None:
+        for name, least, most in (("ra_deg", 0.0, 360.0), ("dec_deg", -90.0, 90.0)):
+            bad = ~frame[name].is_between(least, most).fill_null(False)
+            if bad.any():
+                rule = f"outside [{least:g}, {most:g}] or empty"
+                raise InputError(rule, file=path, place=name, rows=bad.arg_true().to_list())
+        scale = plate.instrument.plate_scale_arcsec_mm
+        position = sky_to_plate(frame["ra_deg"].to_numpy(), frame["dec_deg"].to_numpy(), centre_deg, scale)
+        return frame.with_columns(x_mm=position[:, 0], y_mm=position[:, 1])
+    if not {"x_mm", "y_mm"} <= set(frame.columns):
+        remedy = "give --centre RA,DEC" if has_sky else "give x_mm, y_mm; or ra_deg, dec_deg with --centre RA,DEC"
+        raise InputError("no plate positions", file=path, remedy=remedy)
+    return frame
+
+
+def _as_targets(frame: pl.DataFrame, checked: FieldTargets, plate: Plate, centre_deg: tuple[float, float]) -> pl.DataFrame:
+    order = np.argsort(frame["target_id"].to_numpy(), kind="stable")
+    position = np.column_stack([checked.x_mm, checked.y_mm])
+    if {"ra_deg", "dec_deg"} <= set(frame.columns) and not frame.select("ra_deg", "dec_deg").null_count().sum_horizontal()[
+        0
+    ]:
+        ra, dec = (frame[name].to_numpy()[order] for name in ("ra_deg", "dec_deg"))
+    else:
+        ra, dec = plate_to_sky(position, centre_deg, plate.instrument.plate_scale_arcsec_mm).T
+    kinds = np.array(["science", "standard", "sky", "guide"], dtype=object)[checked.kind]
+    is_science = checked.is_science
+    source = frame["source_id"].cast(pl.String).gather(order) if "source_id" in frame.columns else None
+    made = pl.DataFrame(
+        {
+            "target_id": checked.target_id,
+            "survey": [SURVEY] * checked.n_target,
+            "programme": np.where(is_science, SURVEY, None).tolist(),
+            "kind": kinds.tolist(),
+            "source_id": source if source is not None else pl.Series(checked.target_id).cast(pl.String),
+            "ra_deg": ra,
+            "dec_deg": dec,
+            "mag": checked.mag,
+            "priority": checked.priority,
+            "wanted_visits": np.where(is_science, checked.wanted_visits, 0),
+            "tile_id": np.where(is_science, 0.0, np.nan),
+            "_healpix_29": healpix_29(ra, dec),
+            "x_mm": checked.x_mm,
+            "y_mm": checked.y_mm,
+        },
+        schema_overrides={"programme": pl.String},
+    )
+    blank = pl.col("source_id").fill_null(pl.col("target_id").cast(pl.String))
+    made = made.with_columns(pl.col("mag").fill_nan(None), pl.col("tile_id").fill_nan(None).cast(pl.Int32), source_id=blank)
+    return made.sort("_healpix_29", "target_id")
