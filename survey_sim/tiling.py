@@ -1,0 +1,286 @@
+"""Tiles: where the telescope points, which tile each science target is at home on, and what else each plate can see.
+
+Centres come from an even covering of the sphere: an icosahedral grid (Goldberg's, by Caspar & Klug's (a, b) construction), a
+hexagonal lattice on each of the 20 faces. It exists for 10 T + 2 centres, T = a^2 + a b + b^2: 12, 32, 42, ... 1832, 1892,
+1922, ..., so about any number. Circles that leave no gap cover the sphere 1.31 to 1.33 times with it, 1.86 times with a
+Fibonacci spiral and 2.00 times with HEALPix cells (measured at 1700 to 1900 centres); the least on a plane is 1.21 times.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from survey_sim import tables
+from survey_sim.errors import InputError
+from survey_sim.geometry import chord, unit_vectors
+from survey_sim.region import Region, healpix_29
+from survey_sim.settings import Settings
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# How often plates on the grid cover the sphere at most, if they leave no gap: measured (tests/test_tiling.py).
+COVERING_DENSITY = 1.33
+# The grid's faces are mapped to the sphere by sines of the barycentric coordinates, at this multiple of the edge's angle:
+# found by scanning it for the least covering radius (gnomonic projection: 1.46 times instead of 1.33).
+_WARP = 1.06
+# Plate edges are kept off by this share of the radius, so that a target at the edge is inside by any way of computing it.
+_EDGE = 1e-9
+_KINDS_OF_SUPPLY = ("standard", "sky", "guide")
+
+
+class TilingSettings(Settings):
+    """How a survey's footprint is covered with tiles."""
+
+    # Part of the sky that the run is limited to.
+    region: Region = Region()
+    # Furthest that a place may be from the nearest centre, in field radii: 1 = the fewest tiles that leave no gap.
+    max_distance_frac: float = Field(1.0, gt=0.05, le=1)
+    # Leave out tiles whose targets are all on other plates, those with the fewest first.
+    drop_redundant: bool = True
+
+
+def make_tiles(
+    targets: pl.DataFrame, settings: TilingSettings, field_radius_deg: float
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Tiles of every survey, and the targets with their home tiles.
+
+    Each survey has its own tiles. A science target's home is the nearest centre, and always within the field radius.
+
+    Parameters
+    ----------
+    targets
+        Table `targets`.
+    field_radius_deg
+        Radius of the plate on the sky.
+
+    Returns
+    -------
+        Table `tiles`, and table `targets` with `tile_id` set for science targets.
+    """
+    grid = covering(field_radius_deg * settings.max_distance_frac)
+    is_science = (targets["kind"] == "science").to_numpy()
+    vectors = unit_vectors(targets["ra_deg"].to_numpy(), targets["dec_deg"].to_numpy())
+    home = np.full(targets.height, -1, dtype=np.int64)
+    tiles = [tables.empty("tiles")]
+    for survey in targets["survey"].unique(maintain_order=True).sort().to_list():
+        mine = np.flatnonzero(is_science & (targets["survey"] == survey).to_numpy())
+        centres, home[mine] = _tile_survey(vectors[mine], grid, field_radius_deg * (1.0 - _EDGE), settings)
+        tiles.append(_tiles_table(survey, centres, home[mine]))
+    with_home = targets.with_columns(pl.Series("tile_id", home, dtype=pl.Int32)).with_columns(
+        pl.when(pl.col("tile_id") >= 0).then(pl.col("tile_id")).alias("tile_id")
+    )
+    return tables.conform(pl.concat(tiles), "tiles"), with_home
+
+
+def _tile_survey(
+    vectors: FloatArray, grid: FloatArray, radius_deg: float, settings: TilingSettings
+) -> tuple[FloatArray, IntArray]:
+    """Centres of the tiles used, in HEALPix order, and the index of each target's home among them."""
+    target, tile, distance = pairs_within(vectors, grid, radius_deg)
+    used = np.zeros(len(grid), dtype=np.bool_)
+    used[_nearest(len(vectors), target, tile, distance)] = True
+    keep = used[tile]
+    target, tile, distance = target[keep], tile[keep], distance[keep]
+    if settings.drop_redundant:
+        used = _needed(len(vectors), target, tile, distance, used)
+        keep = used[tile]
+        target, tile, distance = target[keep], tile[keep], distance[keep]
+    home = _nearest(len(vectors), target, tile, distance)
+    used[:] = False
+    used[home] = True
+    index = np.flatnonzero(used)
+    index = index[np.argsort(healpix_29(*_ra_dec(grid[index])), kind="stable")]
+    place = np.full(len(grid), -1, dtype=np.int64)
+    place[index] = np.arange(len(index))
+    return grid[index], place[home]
+
+
+def _nearest(n_target: int, target: IntArray, tile: IntArray, distance: FloatArray) -> IntArray:
+    """(n_target,) nearest tile of each target, from pairs; of two equally near ones the first."""
+    order = np.lexsort((tile, distance, target))
+    first = np.flatnonzero(np.diff(target[order], prepend=-1))
+    if len(first) < n_target:
+        rule = f"{n_target - len(first)} targets are on no tile"
+        raise InputError(rule, place="tiling.max_distance_frac", remedy="a smaller one: the tiles overlap more")
+    return tile[order][first]
+
+
+def _needed(
+    n_target: int, target: IntArray, tile: IntArray, distance: FloatArray, used: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Tiles left when those whose targets are all on other plates go, fewest home targets first."""
+    needed = used.copy()
+    n_home = np.bincount(_nearest(n_target, target, tile, distance), minlength=len(used))
+    n_plate = np.bincount(target, minlength=n_target)
+    order = np.argsort(tile, kind="stable")
+    start = np.searchsorted(tile[order], np.arange(len(used) + 1))
+    for candidate in np.flatnonzero(used)[np.argsort(n_home[used], kind="stable")]:
+        on_plate = target[order[start[candidate] : start[candidate + 1]]]
+        if (n_plate[on_plate] > 1).all():
+            needed[candidate] = False
+            n_plate[on_plate] -= 1
+    return needed
+
+
+def _tiles_table(survey: str, centres: FloatArray, home: IntArray) -> pl.DataFrame:
+    ra_deg, dec_deg = _ra_dec(centres)
+    return pl.DataFrame(
+        {
+            "survey": [survey] * len(centres),
+            "tile_id": np.arange(len(centres), dtype=np.int32),
+            "ra_deg": ra_deg,
+            "dec_deg": dec_deg,
+            "n_target": np.bincount(home, minlength=len(centres)).astype(np.int32),
+        },
+        schema_overrides={"survey": pl.String},
+    )
+
+
+@dataclass(frozen=True)
+class Members:
+    """Rows of the calibration targets on each tile's plate.
+
+    Attributes
+    ----------
+    start
+        (n_tile + 1,) where each tile's rows begin in `row`.
+    row
+        Row numbers of `targets`, ascending within a tile.
+    """
+
+    start: IntArray
+    row: IntArray
+
+    def of(self, tile: int) -> IntArray:
+        """Rows of the `tile`-th row of `tiles`."""
+        return self.row[self.start[tile] : self.start[tile + 1]]
+
+
+def members(tiles: pl.DataFrame, targets: pl.DataFrame, field_radius_deg: float) -> Members:
+    """Calibration targets (standard, sky, guide) of its own survey on each tile's plate.
+
+    Parameters
+    ----------
+    tiles, targets
+        Tables of those names.
+    field_radius_deg
+        Radius of the plate on the sky.
+    """
+    is_supply = targets["kind"].is_in(_KINDS_OF_SUPPLY)
+    rows, places = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    for survey in tiles["survey"].unique().to_list():
+        row = (is_supply & (targets["survey"] == survey)).arg_true().to_numpy().astype(np.int64)
+        place = (tiles["survey"] == survey).arg_true().to_numpy().astype(np.int64)
+        supply, centre = targets[row], tiles[place]
+        points = unit_vectors(supply["ra_deg"].to_numpy(), supply["dec_deg"].to_numpy())
+        centres = unit_vectors(centre["ra_deg"].to_numpy(), centre["dec_deg"].to_numpy())
+        point, tile, _ = pairs_within(points, centres, field_radius_deg * (1.0 - _EDGE))
+        rows.append(row[point])
+        places.append(place[tile])
+    row, place = np.concatenate(rows), np.concatenate(places)
+    order = np.lexsort((row, place))
+    return Members(np.searchsorted(place[order], np.arange(tiles.height + 1)), row[order])
+
+
+def pairs_within(points: FloatArray, centres: FloatArray, radius_deg: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """All pairs of a point and a centre no further apart than an angle.
+
+    Parameters
+    ----------
+    points, centres
+        (n, 3) unit vectors.
+
+    Returns
+    -------
+        Index of the point, index of the centre, and their chord; sorted by point, then from near to far.
+    """
+    if not len(points) or not len(centres):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
+    tree, n_near = cKDTree(centres), 4
+    while True:
+        n_asked = min(n_near, len(centres))
+        found = tree.query(points, k=list(range(1, n_asked + 1)), distance_upper_bound=chord(radius_deg))
+        distance, index = np.asarray(found[0]), np.asarray(found[1])
+        if n_asked == len(centres) or np.isinf(distance[:, -1]).all():
+            break
+        n_near *= 2
+    point, rank = np.nonzero(np.isfinite(distance))
+    return point, index[point, rank].astype(np.int64), distance[point, rank]
+
+
+def covering(radius_deg: float) -> FloatArray:
+    """(n, 3) unit vectors: the smallest grid that leaves no place on the sphere further from a centre than an angle."""
+    n_least = COVERING_DENSITY * 2.0 / (1.0 - np.cos(np.radians(min(radius_deg, 90.0))))
+    return icosahedral_grid(*_smallest_lattice((n_least - 2.0) / 10.0))
+
+
+def _smallest_lattice(t_least: float) -> tuple[int, int]:
+    """The pair a >= b of least T = a^2 + a b + b^2 >= t_least; of equals the one nearest to b = 0."""
+    reach = int(np.sqrt(max(t_least, 1.0))) + 2
+    a, b = np.meshgrid(np.arange(1, reach + 1), np.arange(0, reach + 1), indexing="ij")
+    t = np.where(a >= b, a * a + a * b + b * b, np.iinfo(np.int64).max)
+    t = np.where(t >= t_least, t, np.iinfo(np.int64).max)
+    best = np.flatnonzero(t.ravel() == t.min())[0]
+    return int(a.ravel()[best]), int(b.ravel()[best])
+
+
+def icosahedral_grid(a: int, b: int) -> FloatArray:
+    """(10 T + 2, 3) unit vectors of the grid whose face corners are a steps and, turned by 60 deg, b steps apart.
+
+    References
+    ----------
+    Caspar & Klug 1962, Cold Spring Harb. Symp. Quant. Biol. 27, 1; Goldberg 1937, Tohoku Math. J. 43, 104.
+    """
+    corners, faces = _icosahedron()
+    t = a * a + a * b + b * b
+    step = np.arange(-a - b, a + b + 1)
+    i, j = (index.ravel() for index in np.meshgrid(step, step))
+    u, v = i * (a + b) + j * b, j * a - i * b
+    weights = np.column_stack([t - u - v, u, v])
+    inside = weights[(weights > 0).all(axis=1)]
+    # Points of an edge belong to two faces: they are taken from the face that runs along it from the lower corner.
+    on_edge = weights[(weights[:, 2] == 0) & (weights[:, 0] > 0) & (weights[:, 1] > 0)]
+    parts = [corners]
+    for face in faces:
+        parts.append(_on_sphere(inside / t, corners[face]))
+        for turn in range(3):
+            turned = np.roll(face, -turn)
+            if turned[0] < turned[1]:
+                parts.append(_on_sphere(on_edge / t, corners[turned]))
+    return np.ascontiguousarray(np.vstack(parts))
+
+
+def _on_sphere(weights: FloatArray, corners: FloatArray) -> FloatArray:
+    """(n, 3) unit vectors of barycentric coordinates on a face; see `_WARP`."""
+    points = np.sin(weights * _WARP * np.arccos(corners[0] @ corners[1])) @ corners
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def _icosahedron() -> tuple[FloatArray, list[IntArray]]:
+    """(12, 3) corners, one at the north pole and one at the south, and the 20 faces, counter-clockwise seen from outside."""
+    ring_dec = np.degrees(np.arctan(0.5))
+    ra_deg = np.concatenate([[0.0], np.arange(5) * 72.0, np.arange(5) * 72.0 + 36.0, [0.0]])
+    dec_deg = np.concatenate([[90.0], np.full(5, ring_dec), np.full(5, -ring_dec), [-90.0]])
+    corners = unit_vectors(ra_deg, dec_deg)
+    return corners, [np.array(face, dtype=np.int64) for face in _faces(corners)]
+
+
+def _faces(corners: FloatArray) -> Iterator[tuple[int, int, int]]:
+    edge = 1.01 * chord(np.degrees(np.arctan(2.0)))
+    for i, j, k in combinations(range(len(corners)), 3):
+        sides = np.linalg.norm(corners[[i, j, k]] - corners[[j, k, i]], axis=1)
+        if (sides < edge).all():
+            yield (i, j, k) if np.linalg.det(corners[[i, j, k]]) > 0 else (i, k, j)
+
+
+def _ra_dec(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Right ascension in [0, 360) and declination of unit vectors, deg."""
+    ra_deg = np.degrees(np.arctan2(vectors[:, 1], vectors[:, 0])) % 360.0
+    return np.where(ra_deg >= 360.0, 0.0, ra_deg), np.degrees(np.arcsin(vectors[:, 2].clip(-1.0, 1.0)))
