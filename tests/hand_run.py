@@ -1,0 +1,330 @@
+"""A small correct run, written by plain arithmetic: two tiles, two visits each, six robots; none of the project's solvers.
+
+Robots 1 to 4 are science robots, 5 is a guide, 6 is dead. Robot 3 waits before it goes, robot 2 goes x then y, robot 1 goes
+by a way point at visit 1, and robot 4 is not routed to its target at visit 1 of tile 1.
+"""
+
+import json
+from math import asin, atan2, ceil, cos, degrees, hypot, radians, sin
+from pathlib import Path
+from statistics import mean, median
+
+import polars as pl
+
+from survey_sim import tables
+from survey_sim.schema import TABLES
+from tests import naive_check as naive
+
+SURVEY = "hand"
+SCALE = 67.2
+APPROACH = 0.02
+INSTRUMENT = {
+    "name": "hand",
+    "plate_radius_mm": 163.5,
+    "plate_scale_arcsec_mm": SCALE,
+    "patrol_radius_mm": 50.0,
+    "guide_patrol_radius_mm": 10.0,
+    "min_separation_mm": 9.0,
+    "coarse_speed_mm_s": naive.COARSE,
+    "precise_speed_mm_s": naive.PRECISE,
+    "rotation_speed_deg_s": naive.TURNING,
+    "precise_approach_mm": APPROACH,
+}
+PARK = {1: (0.0, 0.0), 2: (24.1, 0.0), 3: (0.0, 24.1), 4: (24.1, 24.1), 5: (12.05, 12.05), 6: (48.2, 0.0)}
+CENTRES = {0: (359.5, -40.0), 1: (120.0, -89.0)}
+DEAD, GUIDE = 6, 5
+# Goals on the plate, mm, by (tile, visit) and robot; a robot that is not named stays.
+GOALS = {
+    (0, 0): {1: (-8.0, 5.0), 2: (30.0, -9.0), 3: (3.0, 33.0), 4: (33.0, 28.0), 5: (13.0, 14.0)},
+    (0, 1): {1: (-15.0, -6.0), 2: (36.0, -4.0), 3: (-6.0, 40.0), 5: (10.0, 11.0)},
+    (1, 0): {1: (6.0, -11.0), 3: (-9.0, 30.0), 4: (40.0, 30.0)},
+    (1, 1): {1: (-4.0, -9.0), 2: (26.0, 4.0), 5: (12.0, 9.0)},
+}
+# What stands at those goals; a robot that is not named goes there idle.
+HELD = {
+    (0, 0): {1: 0, 2: 1, 3: 2, 4: 3, 5: 4},
+    (0, 1): {1: 5, 2: 6, 5: 7},
+    (1, 0): {1: 8, 3: 9, 4: 10},
+    (1, 1): {1: 11, 2: 12, 5: 13},
+}
+KINDS = {2: "sky", 4: "guide", 6: "standard", 7: "guide", 10: "standard", 13: "guide"}
+UNROUTED = {(1, 1): {4: "no-path"}}
+# Targets that nobody reaches: one of tile 0; the others want more visits than they get.
+UNREACHED = 14
+WANTED = {0: 2, UNREACHED: 1}
+PATHS = ("start_to_target", "start_to_park", "park_to_target")
+
+
+def to_sky(x: float, y: float, centre: tuple[float, float]) -> tuple[float, float]:
+    """Right ascension and declination of a place on the plate, deg: a great circle from the field centre."""
+    angle = radians(hypot(x, y) * SCALE / 3600)
+    bearing = atan2(x, y)
+    ra0, dec0 = map(radians, centre)
+    dec = asin(sin(dec0) * cos(angle) + cos(dec0) * sin(angle) * cos(bearing))
+    ra = ra0 + atan2(sin(bearing) * sin(angle) * cos(dec0), cos(angle) - sin(dec0) * sin(dec))
+    return degrees(ra) % 360, degrees(dec)
+
+
+def wrap(theta: float) -> float:
+    """Angle in [-180, 180), deg."""
+    return (theta + 180) % 360 - 180
+
+
+def turned_leg(state: tuple[float, float, float], goal: tuple[float, float], start_s: float) -> dict:
+    """Turn the nearest axis onto the line, then go."""
+    x, y, theta = state
+    length = hypot(goal[0] - x, goal[1] - y)
+    line = degrees(atan2(goal[1] - y, goal[0] - x))
+    axis = min(range(4), key=lambda k: abs(wrap(line - theta - 90 * k)))
+    rotate = wrap(line - theta - 90 * axis)
+    dx, dy = [(length, 0.0), (0.0, length), (-length, 0.0), (0.0, -length)][axis]
+    return {"start_s": start_s, "rotate_deg": rotate, "dx_mm": dx, "dy_mm": dy, "theta_deg": wrap(theta + rotate)} | {
+        "x_mm": goal[0],
+        "y_mm": goal[1],
+        "precise_mm": 0.0,
+    }
+
+
+def square_leg(state: tuple[float, float, float], goal: tuple[float, float], start_s: float) -> dict:
+    """Do not turn; go along x, then along y."""
+    x, y, theta = state
+    c, s = cos(radians(theta)), sin(radians(theta))
+    ex, ey = goal[0] - x, goal[1] - y
+    steps = {"rotate_deg": 0.0, "dx_mm": c * ex + s * ey, "dy_mm": c * ey - s * ex, "precise_mm": 0.0}
+    return {"start_s": start_s, "x_mm": goal[0], "y_mm": goal[1], "theta_deg": theta} | steps
+
+
+def make_legs(robot: int, state: tuple, goal: tuple[float, float], visit: int) -> list[dict]:
+    """Legs of a robot on a path, the last with the precise approach."""
+    if state[:2] == goal:
+        return []
+    if robot == 2:
+        legs = [square_leg(state, goal, 0.0)]
+    elif robot == 1 and visit == 1:
+        half = ((state[0] + goal[0]) / 2 - 1.0, (state[1] + goal[1]) / 2)
+        first = turned_leg(state, half, 0.0)
+        legs = [first, turned_leg((*half, first["theta_deg"]), goal, naive.leg_end_s(first) + 0.5)]
+    else:
+        legs = [turned_leg(state, goal, 1.5 if robot == 3 else 0.0)]
+    last = legs[-1]
+    last["precise_mm"] = min(APPROACH, abs(last["dx_mm"]) + abs(last["dy_mm"]))
+    return legs
+
+
+def alone_s(state: tuple, goal: tuple[float, float]) -> float:
+    """Time of one robot alone: the quicker of its two ways."""
+    if state[:2] == goal:
+        return 0.0
+    ways = [turned_leg(state, goal, 0.0), square_leg(state, goal, 0.0)]
+    for leg in ways:
+        leg["precise_mm"] = min(APPROACH, abs(leg["dx_mm"]) + abs(leg["dy_mm"]))
+    return min(map(naive.leg_end_s, ways))
+
+
+def rank(values: list[float]) -> float:
+    """The smallest value that at least 95 % do not exceed."""
+    return sorted(values)[ceil(0.95 * len(values)) - 1] if values else 0.0
+
+
+def crosses(a: tuple, b: tuple, c: tuple, d: tuple) -> bool:
+    """Whether segments a-b and c-d properly intersect."""
+
+    def side(p: tuple, q: tuple, r: tuple) -> float:
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0
+
+
+def make_targets() -> list[dict]:
+    """Targets where robots will stand, and one out of reach of all."""
+    rows = []
+    for (tile, visit), held in HELD.items():
+        for robot, target in held.items():
+            rows.append(_target(target, tile, GOALS[tile, visit][robot]))
+    rows.append(_target(UNREACHED, 0, (100.0, 100.0)))
+    return sorted(rows, key=lambda row: row["target_id"])
+
+
+def _target(target: int, tile: int, place: tuple[float, float]) -> dict:
+    ra, dec = to_sky(*place, CENTRES[tile])
+    kind = KINDS.get(target, "science")
+    is_science = kind == "science"
+    return {
+        "target_id": target,
+        "survey": SURVEY,
+        "programme": "case" if is_science else None,
+        "kind": kind,
+        "source_id": f"s{target}",
+        "ra_deg": ra,
+        "dec_deg": dec,
+        "mag": None if kind == "sky" else 10.0 + target / 10,
+        "priority": 5,
+        "wanted_visits": WANTED.get(target, 1) if is_science else 0,
+        "tile_id": tile if is_science else None,
+        "_healpix_29": target,
+    }
+
+
+def make_tables(start: str = "previous") -> dict[str, pl.DataFrame]:
+    """All tables of the run; every visit starts where the last one ended, or from park."""
+    targets = make_targets()
+    rows: dict[str, list[dict]] = {table: [] for table in TABLES if table != "rejected"}
+    rows["targets"] = targets
+    rows["robots"] = [_robot(robot) for robot in PARK]
+    for tile, (ra, dec) in CENTRES.items():
+        n = sum(row["kind"] == "science" and row["tile_id"] == tile for row in targets)
+        rows["tiles"].append({"survey": SURVEY, "tile_id": tile, "ra_deg": ra, "dec_deg": dec, "n_target": n})
+        _add_tile(rows, tile, targets, n, start)
+    _add_schedule(rows, targets)
+    return {table: _frame(table, own) for table, own in rows.items()}
+
+
+def _robot(robot: int) -> dict:
+    return {
+        "survey": SURVEY,
+        "robot_id": robot,
+        "kind": "guide" if robot == GUIDE else "science",
+        "state": "dead" if robot == DEAD else "live",
+        "park_x_mm": PARK[robot][0],
+        "park_y_mm": PARK[robot][1],
+        "patrol_radius_mm": 10.0 if robot == GUIDE else 50.0,
+    }
+
+
+def _frame(table: str, rows: list[dict]) -> pl.DataFrame:
+    schema = {column.name: column.dtype for column in TABLES[table].columns}
+    if rows:
+        schema |= {name: pl.Float64 for name in rows[0] if name not in schema}
+    return pl.DataFrame(rows, schema=schema)
+
+
+def _add_tile(rows: dict[str, list[dict]], tile: int, targets: list[dict], n_target: int, start: str) -> None:
+    park = {robot: (*place, 0.0) for robot, place in PARK.items()}
+    state, n_done = dict(park), 0
+    for visit in (0, 1):
+        key = {"survey": SURVEY, "tile_id": tile, "visit_id": visit}
+        unrouted = UNROUTED.get((tile, visit), {})
+        goals = {robot: GOALS[tile, visit].get(robot, state[robot][:2]) for robot in PARK}
+        begin = park if start == "park" else state
+        ends = _add_path(rows, key | {"path": PATHS[0]}, visit, begin, goals, unrouted)
+        _add_path(rows, key | {"path": PATHS[1]}, visit, state, PARK, {})
+        _add_path(rows, key | {"path": PATHS[2]}, visit, park, {robot: end[:2] for robot, end in ends.items()}, {})
+        held = HELD[tile, visit]
+        for robot in PARK:
+            target = held.get(robot)
+            rows["allocations"].append(
+                key
+                | {"robot_id": robot, "target_id": target, "kind": None if target is None else targets[target]["kind"]}
+                | {"x_mm": ends[robot][0], "y_mm": ends[robot][1]}
+                | {"travel_mm": hypot(ends[robot][0] - begin[robot][0], ends[robot][1] - begin[robot][1])}
+            )
+        n_done += sum(targets[t]["kind"] == "science" and targets[t]["wanted_visits"] == 1 for t in held.values())
+        _add_visit(rows, key | {"start": start}, [targets[t] for t in held.values()], begin, ends, n_done / n_target)
+        state = ends
+
+
+def _add_path(rows: dict[str, list[dict]], key: dict, visit: int, state: dict, goals: dict, unrouted: dict) -> dict:
+    """Legs, robot times and the path; gives the states in which the robots end."""
+    legs = {robot: [] if robot in unrouted else make_legs(robot, state[robot], goals[robot], visit) for robot in PARK}
+    rests, ends = [], {}
+    for robot, own in legs.items():
+        rotating = sum(abs(leg["rotate_deg"]) / naive.TURNING for leg in own)
+        moving = sum(naive.leg_end_s(leg) - leg["start_s"] for leg in own) - rotating
+        rest = naive.leg_end_s(own[-1]) if own else 0.0
+        rests += [rest] if own else []
+        times = {"rotating_s": rotating, "moving_s": moving, "waiting_s": rest - rotating - moving}
+        rows["robot_times"].append(key | {"robot_id": robot} | times | {"reason": unrouted.get(robot)})
+        rows["legs"] += [key | {"robot_id": robot, "leg": i} | leg for i, leg in enumerate(own)]
+        ends[robot] = (own[-1]["x_mm"], own[-1]["y_mm"], own[-1]["theta_deg"]) if own else state[robot]
+    rows["paths"].append(
+        key
+        | {
+            "configuration_time_s": max(rests, default=0.0),
+            "configuration_time_p95_s": rank(rests),
+            "configuration_time_median_s": median(rests) if rests else 0.0,
+            "lower_bound_s": max(alone_s(state[robot], ends[robot][:2]) for robot in PARK),
+            "ticks": len({leg["start_s"] for own in legs.values() for leg in own}),
+            "collisions": 0,
+            "unrouted": len(unrouted),
+            "min_separation_mm": naive.least_of_all(list(state.values()), list(legs.values())),
+        }
+    )
+    return ends
+
+
+def _add_visit(
+    rows: dict[str, list[dict]], key: dict, held: list[dict], state: dict, ends: dict, completeness: float
+) -> None:
+    of_visit = {name: key[name] for name in ("survey", "tile_id", "visit_id")}.items()
+    path = next(row for row in rows["paths"] if row["path"] == PATHS[0] and row.items() >= of_visit)
+    going = [row["travel_mm"] for row in rows["allocations"] if row.items() >= of_visit and row["travel_mm"] > 0]
+    mags = [target["mag"] for target in held if target["kind"] == "science"]
+    lines = [(state[robot][:2], ends[robot][:2]) for robot in PARK]
+    n_crossing = sum(crosses(*lines[i], *lines[j]) for i in range(len(lines)) for j in range(i))
+    shared = ("configuration_time_s", "configuration_time_p95_s", "lower_bound_s", "ticks", "collisions", "unrouted")
+    rows["visits"].append(
+        key
+        | {f"n_{kind}": sum(t["kind"] == kind for t in held) for kind in ("science", "standard", "sky", "guide")}
+        | {"mag_bright": min(mags), "mag_faint": max(mags), "n_idle": len(PARK) - 1 - len(held)}
+        | {"completeness_frac": completeness, "ideal_completeness_frac": 1.0, "completeness_bound_frac": 1.0}
+        | {"travel_mean_mm": mean(going), "travel_p95_mm": rank(going), "travel_max_mm": max(going)}
+        | {"crossings": n_crossing}
+        | {name: path[name] for name in shared}
+    )
+
+
+def _add_schedule(rows: dict[str, list[dict]], targets: list[dict]) -> None:
+    """Night 0: tile 0 visit 0, tile 1 visit 0 (cloud stops it, then again); night 1: tile 1 visit 1, nothing of tile 0."""
+    wanted = {row["target_id"]: row["wanted_visits"] for row in targets if row["kind"] == "science"}
+    path = {(row["tile_id"], row["visit_id"], row["path"]): row["configuration_time_s"] for row in rows["paths"]}
+    from_park = {key[:2]: time for key, time in path.items() if key[2] == PATHS[2]}
+    starts = {row["start"] for row in rows["visits"]}
+    onward = path[0, 1, PATHS[0]] if starts == {"previous"} else path[0, 1, PATHS[1]] + from_park[0, 1]
+    plan = [
+        (0, 0.40, 0, 0, from_park[0, 0], "observed", 600.0),
+        (0, 0.41, 0, 1, onward, "not-started", 0.0),
+        (0, 0.42, 1, 0, from_park[0, 1] + from_park[1, 0], "interrupted", 100.0),
+        (0, 0.43, 1, 0, 0.0, "observed", 600.0),
+        (1, 1.40, 1, 1, from_park[1, 1], "observed", 600.0),
+    ]
+    done: dict[int, list[int]] = {target: [] for target in wanted}
+    for i, (night, mjd, tile, visit, configuration, status, exposure) in enumerate(plan):
+        rows["exposures"].append(
+            {"exposure_id": i, "night": night, "start_mjd": 57400.0 + mjd, "survey": SURVEY, "tile_id": tile}
+            | {"visit_id": visit, "slew_s": 30.0, "configuration_time_s": configuration, "readout_s": 60.0}
+            | {"exposure_s": exposure, "airmass": 1.2, "moon_alt_deg": -10.0, "moon_sep_deg": 90.0, "status": status}
+        )
+        if status == "observed":
+            for target in HELD[tile, visit].values():
+                if target in done:
+                    done[target].append(night)
+    for night in (0, 1):
+        own = [row["exposure_s"] for row in rows["exposures"] if row["night"] == night]
+        n_complete = sum(sum(n <= night for n in done[t]) >= wanted[t] for t in wanted)
+        rows["nights"].append(
+            {"night": night, "evening_mjd": 57400.0 + night, "dark_s": 30000.0, "lost_s": 0.0, "exposing_s": sum(own)}
+            | {"overhead_s": 0.0, "n_exposure": len(own), "completeness_frac_case": n_complete / len(wanted)}
+        )
+    allocated = {t: sum(t in held.values() for held in HELD.values()) for t in wanted}
+    for t, nights in done.items():
+        lost = None if len(nights) >= wanted[t] else "not-scheduled"
+        first_last = {"first_night": min(nights, default=None), "last_night": max(nights, default=None)}
+        status = {"target_id": t, "survey": SURVEY, "programme": "case", "n_observed": len(nights), "reason": lost}
+        rows["target_status"].append(status | first_last)
+        if allocated[t] < wanted[t]:
+            own = {"target_id": t, "survey": SURVEY, "tile_id": targets[t]["tile_id"]}
+            rows["unallocated"].append(own | {"n_allocated": allocated[t], "reason": "out-of-reach"})
+
+
+def write_run(folder: Path, made: dict[str, pl.DataFrame]) -> Path:
+    """Write the tables, the three large ones in a part a tile."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.json").write_text(json.dumps({"instrument": INSTRUMENT, "settings": {}}))
+    for table, frame in made.items():
+        if not TABLES[table].is_in_parts:
+            tables.write(frame, table, folder / f"{table}.parquet")
+            continue
+        for tile in CENTRES:
+            part = frame.filter(pl.col("tile_id") == tile)
+            tables.write(part, table, folder / table / f"{SURVEY}-{tile:05d}.parquet")
+    return folder
