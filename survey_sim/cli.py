@@ -78,7 +78,6 @@ def run(
             typer.echo(f"{name}: {'; '.join(reasons) or 'up to date'}")
         return
     with opened.locked():
-        opened.record_settings()
         run_stages(opened)
     console.print(f"done: [bold]{opened.folder}[/bold]")
     console.print(f"  look at  {opened.folder / 'report' / 'index.html'}")
@@ -121,16 +120,16 @@ def catalogue_check(
 ) -> None:
     """Read a catalogue through its card and say what it holds, or what is wrong with it."""
     from survey_sim.catalogue import check_catalogue
-    from survey_sim.folders import data_folder
+    from survey_sim.folders import cache_folder, data_folder
 
-    _echo_items(check_catalogue(card, data_folder("catalogues")))
+    _echo_items(check_catalogue(card, data_folder("catalogues"), cache_folder()))
 
 
 @catalogue_app.command("make")
 def catalogue_make(
     card: Annotated[str, typer.Argument(metavar="CARD", help="Name of a mock's card, such as taipan-mock.")],
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the mock.")] = 1,
-    out: Annotated[Path | None, typer.Option(help="File to write; the cache by default.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the mock; the card's own by default.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; <card>.parquet in the cache by default.")] = None,
 ) -> None:
     """Make a mock catalogue from its recipe."""
     from survey_sim.catalogue import make_catalogue

@@ -13,18 +13,19 @@ _HEAD = f"""# Data model
 
 <!-- Written by `make docs` from survey_sim/schema.py: do not edit. -->
 
-Every table of a run, schema version {SCHEMA_VERSION}. Most tables are one file, `runs/<name>/<table>.parquet`; the three large
-ones (allocations, legs, robot_times) are folders of parts, `runs/<name>/<table>/*.parquet`, a part for each batch of tiles.
-Files are Parquet with zstd, rows sorted, and carry VOParquet metadata (units, UCDs and descriptions for astropy and TOPCAT).
-The same quantity has the same name in every table; names end in their unit. Null means that there is no value.
+Every table of a run, schema version {SCHEMA_VERSION}. Most tables are one file, `runs/<name>/<table>.parquet`; the three
+large ones (allocations, legs, robot_times) are folders of parts, `runs/<name>/<table>/*.parquet`, a part for each batch of
+tiles. Files are Parquet with zstd, rows sorted, and carry VOParquet metadata (units, UCDs and descriptions for astropy and
+TOPCAT). The same quantity has the same name in every table; names end in their unit. Null means that there is no value.
 
 The plate frame is in mm, origin at the plate centre, x to the east, y to the north, as seen on the sky. Sky positions are
 ICRS, in degrees. Times of a path are seconds from its start; `configuration_time_p95_s` is when 95 % of the robots that move
 (rounded up to a robot) have come to rest, and `lower_bound_s` the slowest robot that arrives, were it alone.
 
-Where a visit starts: `start_to_target` begins where the tile's previous visit ended (its first: from park), or at park if the
-algorithm always starts there (`visits.start`). `start_to_park` begins where the previous visit ended, `park_to_target` at park.
-A robot that was not routed stays where the path began; `robot_times.reason` says why, and `allocations` holds where it stands.
+Where a visit starts: `start_to_target` begins where the tile's previous visit ended (its first: from park), or at park if
+the algorithm always starts there (`visits.start`). `start_to_park` begins where the previous visit ended, `park_to_target`
+at park. A robot that was not routed stays where the path began; `robot_times.reason` says why, and `allocations` holds where
+it stands.
 """
 
 

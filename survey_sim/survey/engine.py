@@ -96,19 +96,28 @@ class Stage:
 
 
 def run_stages(run: Run) -> None:
-    """Run every stage that is out of date, in order, and note its time in run.json."""
-    for stage in load_stages(run):
+    """Run every stage that is out of date, in order, and note its time in run.json.
+
+    run.json is begun after the first stage, which reads all input: bad input leaves nothing behind.
+    """
+    for number, stage in enumerate(load_stages(run)):
         reasons, task = _status(run, stage)
-        if not reasons:
+        if reasons:
+            run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
+            _execute(run, stage, task)
+        else:
             run.console.print(f"[dim]{stage.name}: up to date[/dim]")
-            continue
-        run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
-        with run.timed(stage.name) as spent:
-            elsewhere = stage.action(run) or {}
-            spent["cpu_s"] += elsewhere.get("cpu_s", 0.0)
-        task.save_extra_values()
-        with _memory(run) as memory:
-            memory.save_success(task)
+        if number == 0:
+            run.record_settings()
+
+
+def _execute(run: Run, stage: Stage, task: Task) -> None:
+    with run.timed(stage.name) as spent:
+        elsewhere = stage.action(run) or {}
+        spent["cpu_s"] += elsewhere.get("cpu_s", 0.0)
+    task.save_extra_values()
+    with _memory(run) as memory:
+        memory.save_success(task)
 
 
 def plan_stages(run: Run) -> Iterator[tuple[str, list[str]]]:

@@ -6,7 +6,7 @@ import fcntl
 import json
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -62,7 +62,11 @@ class Run:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other runs out of the folder; the system drops the lock when the process ends, however it ends."""
+        """Keep other runs out of the folder; the system drops the lock when the process ends, however it ends.
+
+        A folder in which nothing was done goes away again.
+        """
+        made = [folder for folder in (self.state, self.folder, *self.folder.parents) if not folder.exists()]
         try:
             self.state.mkdir(parents=True, exist_ok=True)
             with (self.state / "lock").open("w") as file:
@@ -71,6 +75,13 @@ class Run:
                 yield
         except PermissionError as failure:
             raise InputError("cannot be written", file=failure.filename, remedy="choose another --out") from None
+        finally:
+            if made and not (self.folder / "run.json").exists():
+                for file in ("lock", "engine.db"):
+                    (self.state / file).unlink(missing_ok=True)
+                with suppress(OSError):
+                    for folder in made:
+                        folder.rmdir()
 
     def record(self, **entries: Any) -> None:
         """Set entries of run.json; entries that are mappings are merged."""

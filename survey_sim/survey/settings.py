@@ -149,9 +149,19 @@ def load_pipeline(path: Path, changes: Sequence[str] = ()) -> PipelineSettings:
     values.setdefault("run", {}).setdefault("name", path.stem)
     for change in changes:
         _apply(values, change)
+    _place_catalogues(values, path.parent)
     settings = PipelineSettings.load(values, file=path)
     settings.plate(path.parent)
     return settings
+
+
+def _place_catalogues(values: dict[str, Any], folder: Path) -> None:
+    """Catalogues given as paths are looked for beside the pipeline file, wherever the command is typed."""
+    programmes = values.get("programme")
+    for programme in programmes if isinstance(programmes, list) else []:
+        catalogue = programme.get("catalogue") if isinstance(programme, dict) else None
+        if isinstance(catalogue, str) and Path(catalogue).suffix:
+            programme["catalogue"] = str(folder / catalogue)
 
 
 def _apply(values: dict[str, Any], change: str) -> None:

@@ -1,0 +1,234 @@
+"""Whole small runs: the same bytes whoever does them, what is out of date runs again, what is done is kept."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from survey_sim import tables
+from survey_sim.check import check_run
+from survey_sim.schema import TABLES
+from survey_sim.survey.batches import Workers
+from survey_sim.survey.engine import plan_stages, run_stages
+from survey_sim.survey.run import Run, open_run
+from tests.small_survey import write_small_survey
+
+COMMAND = [sys.executable, "-m", "survey_sim"]
+
+
+def _open(pipeline: Path, out: Path, *changes: str, workers: int = 0) -> Run:
+    return open_run(pipeline, Workers(workers), out, changes)
+
+
+def _run(pipeline: Path, out: Path, *changes: str, workers: int = 0) -> Run:
+    run = _open(pipeline, out, *changes, workers=workers)
+    with run.locked():
+        run_stages(run)
+    return run
+
+
+def _plan(pipeline: Path, out: Path, *changes: str) -> dict[str, list[str]]:
+    return dict(plan_stages(_open(pipeline, out, *changes)))
+
+
+def _tables(folder: Path) -> dict[str, bytes]:
+    """Bytes of all tables of a run."""
+    return {str(path.relative_to(folder)): path.read_bytes() for name in TABLES for path in tables.files(folder, name)}
+
+
+@pytest.fixture(scope="module")
+def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_survey(tmp_path_factory.mktemp("sky"))
+
+
+@pytest.fixture(scope="module")
+def finished(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run; not to be changed."""
+    return _run(pipeline, tmp_path_factory.mktemp("runs") / "small").folder
+
+
+@pytest.fixture
+def copy(finished: Path, tmp_path: Path) -> Path:
+    """A finished run to change."""
+    return Path(shutil.copytree(finished, tmp_path / "small"))
+
+
+def test_every_table_is_there_and_the_check_passes(finished: Path) -> None:
+    for name in TABLES:
+        assert tables.files(finished, name), name
+        assert tables.read(finished, name).columns[: len(TABLES[name].names)] == TABLES[name].names
+    result = check_run(finished)
+    assert result.is_passed, result.faults
+    assert result.n_visit == len(tables.read(finished, "visits")) > 20
+
+
+def test_every_science_target_has_a_status_and_a_reason_if_it_is_not_complete(finished: Path) -> None:
+    status = tables.read(finished, "target_status")
+    science = tables.read(finished, "targets").filter(kind="science")
+    joined = status.join(science.select("target_id", "wanted_visits"), on="target_id", how="full", coalesce=True)
+    assert not joined["n_observed"].null_count()
+    is_complete = pl.col("n_observed") >= pl.col("wanted_visits")
+    assert joined.filter(is_complete != pl.col("reason").is_null()).is_empty()
+
+
+def test_run_record_holds_what_a_reader_needs(finished: Path, pipeline: Path) -> None:
+    record = json.loads((finished / "run.json").read_text())
+    assert record["instrument"]["min_separation_mm"] == 9.0
+    assert record["settings"]["schedule"]["end_date"] == "2016-10-12"
+    assert record["seed"] == 7
+    assert set(record["stages"]) == {"targets", "tiles", "visits", "schedule", "report"}
+    assert all(stage["wall_s"] >= 0 and stage["cpu_s"] >= 0 for stage in record["stages"].values())
+    digest = tables.checksum(pipeline.parent / "stars.csv")
+    assert digest in record["catalogues"]["sha256"].values()
+
+
+def test_two_workers_write_the_same_bytes(pipeline: Path, finished: Path, tmp_path: Path) -> None:
+    assert _tables(_run(pipeline, tmp_path / "two", workers=2).folder) == _tables(finished)
+
+
+def test_a_dask_cluster_writes_the_same_bytes(pipeline: Path, finished: Path, tmp_path: Path) -> None:
+    with _cluster(tmp_path) as address:
+        out = tmp_path / "cluster"
+        command = [*COMMAND, "run", str(pipeline), "--out", str(out), "--scheduler", address, "--quiet"]
+        subprocess.run(command, check=True, timeout=300)
+    assert _tables(out) == _tables(finished)
+
+
+def test_the_order_of_catalogue_rows_does_not_matter(finished: Path, tmp_path: Path) -> None:
+    shuffled = write_small_survey(tmp_path / "sky", shuffle=5)
+    assert _tables(_run(shuffled, tmp_path / "out").folder) == _tables(finished)
+
+
+def test_part_size_does_not_change_a_row(pipeline: Path, finished: Path, tmp_path: Path) -> None:
+    other = _run(pipeline, tmp_path / "out", "output.tiles_per_part=3").folder
+    for name in TABLES:
+        keys = list(TABLES[name].order)
+        assert tables.read(other, name).sort(keys).equals(tables.read(finished, name).sort(keys)), name
+
+
+def test_killed_run_goes_on_and_ends_with_the_same_bytes(pipeline: Path, finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    command = [*COMMAND, "run", str(pipeline), "--out", str(out), "--workers", "2", "--quiet"]
+    process = subprocess.Popen(command, start_new_session=True)
+    manifests = out / ".state" / "parts"
+    deadline = time.monotonic() + 240
+    while process.poll() is None and len(list(manifests.glob("*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in manifests.glob("*.json")}
+    assert 2 <= len(kept) < 7
+    _run(pipeline, out)
+    assert _tables(out) == _tables(finished)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert not list(out.rglob("*.tmp"))
+
+
+def test_interrupt_ends_with_a_clean_message(pipeline: Path, tmp_path: Path) -> None:
+    out = tmp_path / "stopped"
+    process = subprocess.Popen(
+        [*COMMAND, "run", str(pipeline), "--out", str(out), "--serial", "--quiet"], stderr=subprocess.PIPE, text=True
+    )
+    while process.poll() is None and not (out / "tiles.parquet").exists():
+        time.sleep(0.01)
+    process.send_signal(signal.SIGTERM)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert message.strip().splitlines() == [
+        "error: interrupted: finished tiles are kept, run the same command again to go on"
+    ]
+
+
+def test_nothing_runs_twice(pipeline: Path, copy: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*.parquet")}
+    assert all(not reasons for reasons in _plan(pipeline, copy).values())
+    _run(pipeline, copy)
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.parquet")} == before
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ("schedule.site.height_m=1200", ["schedule", "report"]),
+        ("routing.router='coordinated'", ["visits", "schedule", "report"]),
+        ("programme.faint.mag_faint=11.5", ["targets", "tiles", "visits", "schedule", "report"]),
+        ("report.title='Mine'", ["report"]),
+    ],
+)
+def test_a_changed_setting_runs_only_what_uses_it(pipeline: Path, finished: Path, change: str, expected: list[str]) -> None:
+    plan = _plan(pipeline, finished, change)
+    assert [name for name, reasons in plan.items() if reasons] == expected
+    key = change.partition("=")[0].split(".")[-1]
+    assert key in plan[expected[0]][0] or "programme" in plan[expected[0]][0]
+
+
+def test_a_changed_catalogue_runs_everything(copy: Path, tmp_path: Path, pipeline: Path) -> None:
+    sky = tmp_path / "sky"
+    shutil.copytree(pipeline.parent, sky)
+    _run(sky / "small.toml", copy)
+    with (sky / "stars.csv").open("a") as file:
+        file.write("star-new,0.5,-30.0,9.0\n")
+    plan = _plan(sky / "small.toml", copy)
+    assert plan["targets"] == ["changed: stars.csv"]
+    assert all(plan.values())
+
+
+def test_dry_run_writes_nothing(pipeline: Path, tmp_path: Path) -> None:
+    out = tmp_path / "none"
+    plan = _plan(pipeline, out)
+    assert list(plan) == ["targets", "tiles", "visits", "schedule", "report"]
+    assert all(plan.values())
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("spoil", [lambda path: path.write_bytes(path.read_bytes()[:-7]), Path.unlink])
+def test_a_damaged_part_is_found_and_remade(pipeline: Path, finished: Path, copy: Path, spoil) -> None:
+    part = sorted((copy / "legs").iterdir())[1]
+    spoil(part)
+    assert _plan(pipeline, copy)["visits"] == ["a part is absent or damaged"]
+    _run(pipeline, copy)
+    assert _tables(copy) == _tables(finished)
+
+
+def test_parts_of_tiles_that_are_gone_are_removed(pipeline: Path, copy: Path) -> None:
+    stray = copy / "legs" / "stars-99999.parquet"
+    shutil.copy(next((copy / "legs").iterdir()), stray)
+    _run(pipeline, copy, "routing.router='coordinated'")
+    assert not stray.exists()
+
+
+def test_a_second_run_in_the_same_folder_is_refused(pipeline: Path, copy: Path) -> None:
+    run = _open(pipeline, copy)
+    with run.locked(), pytest.raises(ValueError, match="another run is at work"), _open(pipeline, copy).locked():
+        pass
+
+
+@contextmanager
+def _cluster(folder: Path) -> Iterator[str]:
+    """A dask scheduler and two workers as separate processes on this machine; gives the address."""
+    note = folder / "scheduler.json"
+    python = [sys.executable, "-m"]
+    scheduler = [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    worker = [*python, "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
+    where = ["--scheduler-file", str(note)]
+    with open(folder / "cluster.log", "w") as log:
+        processes = [subprocess.Popen([*scheduler, *where], stdout=log, stderr=log)]
+        try:
+            while not note.exists():
+                time.sleep(0.05)
+            processes += [subprocess.Popen([*worker, *where], stdout=log, stderr=log) for _ in range(2)]
+            yield json.loads(note.read_text())["address"]
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+            for process in processes:
+                process.wait(timeout=30)
