@@ -165,8 +165,10 @@ def _target(target: int, tile: int, place: tuple[float, float]) -> dict:
     }
 
 
-def make_tables(start: str = "previous") -> dict[str, pl.DataFrame]:
-    """All tables of the run; every visit starts where the last one ended, or from park."""
+def make_tables(
+    start: str = "previous", first: dict[int, tuple[float, float, float]] | None = None
+) -> dict[str, pl.DataFrame]:
+    """All tables of the run; every visit starts where the last one ended, or from park; the tiles' first from `first`."""
     targets = make_targets()
     rows: dict[str, list[dict]] = {table: [] for table in TABLES if table != "rejected"}
     rows["targets"] = targets
@@ -174,7 +176,7 @@ def make_tables(start: str = "previous") -> dict[str, pl.DataFrame]:
     for tile, (ra, dec) in CENTRES.items():
         n = sum(row["kind"] == "science" and row["tile_id"] == tile for row in targets)
         rows["tiles"].append({"survey": SURVEY, "tile_id": tile, "ra_deg": ra, "dec_deg": dec, "n_target": n})
-        _add_tile(rows, tile, targets, n, start)
+        _add_tile(rows, tile, targets, n, start, first)
     _add_schedule(rows, targets)
     return {table: _frame(table, own) for table, own in rows.items()}
 
@@ -198,16 +200,20 @@ def _frame(table: str, rows: list[dict]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=schema)
 
 
-def _add_tile(rows: dict[str, list[dict]], tile: int, targets: list[dict], n_target: int, start: str) -> None:
+def _add_tile(
+    rows: dict[str, list[dict]], tile: int, targets: list[dict], n_target: int, start: str, first: dict | None
+) -> None:
     park = {robot: (*place, 0.0) for robot, place in PARK.items()}
-    state, n_done = dict(park), 0
+    state, n_done = first or park, 0
+    park[DEAD] = state[DEAD]
+    parked = {robot: place[:2] for robot, place in park.items()}
     for visit in (0, 1):
         key = {"survey": SURVEY, "tile_id": tile, "visit_id": visit}
         unrouted = UNROUTED.get((tile, visit), {})
         goals = {robot: GOALS[tile, visit].get(robot, state[robot][:2]) for robot in PARK}
         begin = park if start == "park" else state
         ends = _add_path(rows, key | {"path": PATHS[0]}, visit, begin, goals, unrouted)
-        _add_path(rows, key | {"path": PATHS[1]}, visit, state, PARK, {})
+        _add_path(rows, key | {"path": PATHS[1]}, visit, state, parked, {})
         _add_path(rows, key | {"path": PATHS[2]}, visit, park, {robot: end[:2] for robot, end in ends.items()}, {})
         held = HELD[tile, visit]
         for robot in PARK:

@@ -197,8 +197,20 @@ PLANTED = {
     "negative start": ("legs", replaced(ONE, start_s=-1.0), "schema", "start_s is too small", ONE),
     "negative slew": ("exposures", replaced({"exposure_id": 0}, slew_s=-1.0), "schema", "slew_s is too small", row(0, 0)),
     "visit of no tile": ("tiles", without({"tile_id": 1}), "schema", "no row of tiles has this", row(1, 0)),
-    "no robots": ("robots", lambda t: t.clear(), "schema", "no row of robots has this survey", row(1, 0)),
-    "path of no visit": ("visits", without(row(1, 1)), "schema", "no row of visits has this", row(1, 1, path=START_TO_PARK)),
+    "no robots": (
+        "robots",
+        lambda t: t.clear(),
+        "schema",
+        "no row of robots has this survey",
+        row(1, 0) | {"table": "visits"},
+    ),
+    "path of no visit": (
+        "visits",
+        without(row(1, 1)),
+        "schema",
+        "no row of visits has this",
+        row(1, 1, path=START_TO_PARK) | {"table": "paths"},
+    ),
     "visits with a gap": ("visits", without(row(0, 0)), "schema", "visits of a tile are not counted", row(0, 1)),
     "missing path": (
         "paths",
@@ -728,7 +740,51 @@ def test_unreadable_file_is_a_fault(run_dir: Path) -> None:
 @pytest.mark.parametrize("content", ["", "{}", '{"instrument": {"plate_radius_mm": 1}}', '{"instrument": 3}'])
 def test_run_without_instrument(run_dir: Path, content: str) -> None:
     (run_dir / "run.json").write_text(content)
-    assert found(run_dir, "schema", "run.json gives no instrument", {"table": "run.json"})
+    assert not check_run(run_dir).is_passed
+    assert found(run_dir, "schema", "gives no instrument", {"table": "run.json"})
+
+
+class TestStartPositions:
+    """A single field may begin elsewhere than at park: anywhere legal, turned anyhow."""
+
+    @staticmethod
+    def set_start(run_dir: Path, position_mm: list, theta_deg: list) -> None:
+        start = {"file": "positions.xml", "position_mm": position_mm, "theta_deg": theta_deg}
+        (run_dir / "run.json").write_text(json.dumps({"instrument": hand_run.INSTRUMENT, "start_positions": start}))
+
+    def test_legs_begin_there(self, tmp_path: Path) -> None:
+        first = {robot: (x + 1.0, y - 2.0, 15.0 * robot) for robot, (x, y) in hand_run.PARK.items()}
+        run_dir = write_run(tmp_path / "run", make_tables(first=first))
+        assert not check_run(run_dir).is_passed
+        self.set_start(run_dir, [list(state[:2]) for state in first.values()], [state[2] for state in first.values()])
+        assert [str(fault) for fault in check_run(run_dir)] == []
+
+    def test_out_of_reach(self, run_dir: Path) -> None:
+        park = [list(place) for place in hand_run.PARK.values()]
+        self.set_start(run_dir, [[0.0, -51.0], *park[1:]], [0.0] * 6)
+        assert found(run_dir, "reach", "first position outside the patrol disc", row(0, 0, 1))
+        # A dead robot is where it is.
+        self.set_start(run_dir, [*park[:5], [-160.0, -160.0]], [0.0] * 6)
+        assert "reach" not in check_run(run_dir).n_faults
+
+    def test_wrong_number_of_robots(self, run_dir: Path) -> None:
+        self.set_start(run_dir, [[0.0, 0.0]], [0.0])
+        assert found(run_dir, "schema", "not as a run writes it: ValueError start_positions has 1", {"table": "run.json"})
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"start_positions": 3},
+        {"start_positions": {"position_mm": [["x"]], "theta_deg": [0]}},
+        {"settings": []},
+        {"settings": {"schedule": {"configuration_s": "soon"}}},
+        {"settings": {"schedule": {"success_frac": {"case": "often"}}}},
+    ],
+)
+def test_odd_run_json_is_a_fault(run_dir: Path, more: dict) -> None:
+    (run_dir / "run.json").write_text(json.dumps({"instrument": hand_run.INSTRUMENT, **more}))
+    assert found(run_dir, "schema", "not as a run writes it", {"table": "run.json"})
 
 
 def test_no_run_at_all(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ schema
 starts
     A path's first legs begin where they should: `start_to_target` where the last visit's ended (its `x_mm`, `y_mm`, and
     the theta of its last leg), or at park with theta 0 if it is the first or `visits.start` is park; `start_to_park`
-    where the last visit's `start_to_target` ended, whatever `visits.start` is; `park_to_target` at park with theta 0.
+    where the last visit's `start_to_target` ended, whatever `visits.start` is; `park_to_target` at park with theta 0. In a
+    single field whose run.json has `start_positions`, these stand for park and theta 0 as what the first visit finds.
 legs
     Legs count from 0, none begins before the last has ended, each ends where turn and travel lead; it turns by 45 deg at
     most and goes along one axis, or does not turn and goes along x, then y; the last leg of a path, and no other, ends
@@ -18,11 +19,10 @@ legs
 ends
     `start_to_target` and `park_to_target` end at the allocation, `start_to_park` at park, unless `robot_times.reason`
     says that the robot was not routed: then it has no leg, and on `start_to_target` its allocation is its start, with no
-    target. Dead robots have no leg; on the paths to and from park a dead robot need not end anywhere, and it is never
-    counted as unrouted.
+    target. Dead robots have no leg and stay where they are on every path; none counts as unrouted.
 reach
-    Ends and corners of legs and all resting places lie in the robot's patrol disc and on the plate; so every place
-    between does.
+    Ends and corners of legs and all resting places of live robots lie in the patrol disc and on the plate; so every
+    place between does.
 targets
     A robot with a target stands where it projects (equidistant, within 1 um); kinds agree; guide robots hold guide stars,
     and no other robot does; a target has one robot a visit, in its own survey and home tile; a science target is held in

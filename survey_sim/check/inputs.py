@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from survey_sim.errors import InputError
 SMALL = ("robots", "targets", "tiles", "visits", "paths")
 LARGE = ("allocations", "legs", "robot_times")
 OPTIONAL = ("unallocated", "exposures", "nights", "target_status", "rejected")
+RECORD = "run.json"
 # Parts are looked at together up to so many bytes on disk: enough to be quick, few enough to bound memory.
 GROUP_BYTES = 16 * 2**20
 
@@ -63,6 +65,8 @@ class Run:
         With `visit_row`, the visit's number in the run.
     optional
         Those of `OPTIONAL` that the run has.
+    robots
+        With the state in which a tile's first visit finds it: `first_x_mm`, `first_y_mm`, `first_theta_deg`.
     schedule
         Settings of the schedule.
     """
@@ -88,12 +92,19 @@ def read_run(run_dir: Path, log: FaultLog) -> Run | None:
     """
     if not run_dir.is_dir():
         raise InputError("no such folder", file=run_dir, remedy="name the folder of a finished run")
-    constants = _read_constants(run_dir, log)
+    record = _read_record(run_dir, log)
+    constants = _read_constants(record, log)
     wanted = [*SMALL, *(table for table in OPTIONAL if tables.files(run_dir, table))]
     found = {table: _read_small(run_dir, table, log) for table in wanted}
     has_large = [_check_files(run_dir, table, log) for table in LARGE]
     sound = {table: frame for table, frame in found.items() if frame is not None}
     if constants is None or not all(has_large) or len(sound) < len(wanted):
+        return None
+    try:
+        robots = _with_first_state(sound["robots"], record.get("start_positions"))
+        schedule = _read_schedule(record)
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, pl.exceptions.PolarsError) as failure:
+        log.add_one(Fault("schema", RECORD, detail=f"not as a run writes it: {type(failure).__name__} {failure}"))
         return None
     check_small(log, sound["robots"], sound["tiles"], sound["visits"], sound["paths"])
     key = ["survey", "tile_id", "visit_id"]
@@ -102,13 +113,13 @@ def read_run(run_dir: Path, log: FaultLog) -> Run | None:
     targets = sound["targets"].sort("target_id")
     return Run(
         constants=constants,
-        robots=sound["robots"],
+        robots=robots,
         targets=targets,
         tiles=sound["tiles"],
         visits=visits,
         paths=paths,
         optional={table: frame for table, frame in sound.items() if table in OPTIONAL},
-        schedule=_read_schedule(run_dir),
+        schedule=schedule,
         target_ids=targets["target_id"].to_numpy(),
     )
 
@@ -137,25 +148,50 @@ def read_group(run_dir: Path, names: list[str], log: FaultLog) -> dict[str, pl.D
     return sound if len(sound) == len(LARGE) else None
 
 
-def _read_constants(run_dir: Path, log: FaultLog) -> Constants | None:
-    path = run_dir / "run.json"
+def _read_record(run_dir: Path, log: FaultLog) -> dict[str, Any]:
+    """run.json; empty, with a fault, where it is no JSON object."""
     try:
-        given = json.loads(path.read_text(encoding="utf-8"))["instrument"]
+        record = json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as failure:
+        log.add_one(Fault("schema", RECORD, detail=f"not readable: {type(failure).__name__} {failure}"))
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _read_constants(record: dict[str, Any], log: FaultLog) -> Constants | None:
+    try:
+        given = record["instrument"]
         return Constants(**{field.name: float(given[field.name]) for field in fields(Constants)})
-    except (OSError, ValueError, KeyError, TypeError) as failure:
-        detail = f"run.json gives no instrument: {type(failure).__name__} {failure}"
-        log.add_one(Fault("schema", "run.json", detail=detail))
+    except (ValueError, KeyError, TypeError) as failure:
+        detail = f"gives no instrument: {type(failure).__name__} {failure}"
+        log.add_one(Fault("schema", RECORD, detail=detail))
         return None
 
 
-def _read_schedule(run_dir: Path) -> ScheduleRules:
+def _read_schedule(record: dict[str, Any]) -> ScheduleRules:
     """Rules of the schedule; the plain ones (routed times, every target succeeds) where run.json has none."""
-    record = json.loads((run_dir / "run.json").read_text(encoding="utf-8"))
     settings = record.get("settings", {}).get("schedule") or {}
     given = settings.get("configuration_s", "routed")
     success = settings.get("success_frac", {})
     uncertain = tuple(sorted(programme for programme, frac in success.items() if frac < 1))
     return ScheduleRules(None if given == "routed" else float(given), uncertain)
+
+
+def _with_first_state(robots: pl.DataFrame, given: dict[str, Any] | None) -> pl.DataFrame:
+    """Robots with the state in which a tile's first visit finds them: park and theta 0, or what run.json says of a field.
+
+    `start_positions` there holds `position_mm` (x, y) and `theta_deg` for each robot, in the order of their ids.
+    """
+    robots = robots.sort("survey", "robot_id")
+    if given is None:
+        return robots.with_columns(first_x_mm="park_x_mm", first_y_mm="park_y_mm", first_theta_deg=pl.lit(0.0))
+    x, y = (
+        pl.Series(name, [place[i] for place in given["position_mm"]]) for i, name in enumerate(("first_x_mm", "first_y_mm"))
+    )
+    first = pl.DataFrame([x, y, pl.Series("first_theta_deg", given["theta_deg"])]).cast(pl.Float64)
+    if first.height != robots.height:
+        raise ValueError(f"start_positions has {first.height} robots, the table {robots.height}")
+    return robots.hstack(first)
 
 
 def _check_files(run_dir: Path, table: str, log: FaultLog) -> bool:

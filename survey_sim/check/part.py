@@ -11,6 +11,7 @@ from survey_sim.check.relations import ROBOT, VISIT
 from survey_sim.schema import PATHS
 
 START_TO_TARGET, START_TO_PARK, PARK_TO_TARGET = PATHS
+STATE = ("x_mm", "y_mm", "theta_deg")
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Part:
     ----------
     rows
         `allocations`, sorted by visit and robot, with the robot's park position, kind and state, where the last visit left
-        it (`last_x_mm`, `last_y_mm`, `last_theta_deg`), and where `start_to_target` begins (`start_*`).
+        it (`last_x_mm`, `last_y_mm`, `last_theta_deg`), where it is once all are parked (`parked_*`), and where
+        `start_to_target` begins (`start_*`).
     routes
         A robot on a path: a block of all `rows` for each path, in the order of `PATHS`; `slot` is the place. With the start
         state, where the path should end (`goal_*`), `robot_times`, and what its legs come to (`n_leg`, `rest_s`, ...).
@@ -79,45 +81,45 @@ def _last_theta(legs: pl.DataFrame, n_row: int) -> pl.DataFrame:
 
 
 def _with_starts(rows: pl.DataFrame, last_theta: pl.DataFrame) -> pl.DataFrame:
+    """Where the last visit left each robot, where it is when all are parked (a dead one stays), where this one begins."""
     robot = ["survey", "tile_id", "robot_id"]
-    from_park = pl.col("start") == "park"
+    from_park, is_live = pl.col("start") == "park", pl.col("state") == "live"
+    turned_back = pl.when(from_park & is_live).then(0.0)
     rows = rows.join(last_theta, on="row", how="left", maintain_order="left").with_columns(
-        end_theta_deg=pl.coalesce("end_theta_deg", pl.when(from_park).then(0.0)).forward_fill().over(robot).fill_null(0.0)
+        end_x_mm="x_mm",
+        end_y_mm="y_mm",
+        end_theta_deg=pl.coalesce(pl.coalesce("end_theta_deg", turned_back).forward_fill().over(robot), "first_theta_deg"),
     )
     rows = rows.with_columns(
-        last_x_mm=pl.col("x_mm").shift(1).over(robot).fill_null(pl.col("park_x_mm")),
-        last_y_mm=pl.col("y_mm").shift(1).over(robot).fill_null(pl.col("park_y_mm")),
-        last_theta_deg=pl.col("end_theta_deg").shift(1).over(robot).fill_null(0.0),
+        pl.col(f"end_{name}").shift(1).over(robot).fill_null(pl.col(f"first_{name}")).alias(f"last_{name}") for name in STATE
+    )
+    parked = {"x_mm": pl.col("park_x_mm"), "y_mm": pl.col("park_y_mm"), "theta_deg": pl.lit(0.0)}
+    rows = rows.with_columns(
+        pl.when(is_live).then(place).otherwise(f"last_{name}").alias(f"parked_{name}") for name, place in parked.items()
     )
     return rows.with_columns(
-        start_x_mm=pl.when(from_park).then("park_x_mm").otherwise("last_x_mm"),
-        start_y_mm=pl.when(from_park).then("park_y_mm").otherwise("last_y_mm"),
-        start_theta_deg=pl.when(from_park).then(0.0).otherwise("last_theta_deg"),
+        pl.when(from_park).then(f"parked_{name}").otherwise(f"last_{name}").alias(f"start_{name}") for name in STATE
     )
 
 
 def _routes(rows: pl.DataFrame) -> pl.DataFrame:
-    names = ("start_x_mm", "start_y_mm", "start_theta_deg", "goal_x_mm", "goal_y_mm")
-    park = (pl.col("park_x_mm"), pl.col("park_y_mm"))
-    target = (pl.col("x_mm"), pl.col("y_mm"))
-    states = {
-        START_TO_TARGET: (pl.col("start_x_mm"), pl.col("start_y_mm"), pl.col("start_theta_deg"), *target),
-        START_TO_PARK: (pl.col("last_x_mm"), pl.col("last_y_mm"), pl.col("last_theta_deg"), *park),
-        PARK_TO_TARGET: (*park, pl.lit(0.0), *target),
+    target = {"goal_x_mm": "x_mm", "goal_y_mm": "y_mm"}
+    ends = {
+        START_TO_TARGET: ("start", target),
+        START_TO_PARK: ("last", {"goal_x_mm": "parked_x_mm", "goal_y_mm": "parked_y_mm"}),
+        PARK_TO_TARGET: ("parked", target),
     }
     kept = [*VISIT, "visit_row", "robot_id", "target_id", "state"]
     blocks = [
-        rows.select(
-            *kept, pl.lit(path).alias("path"), *(value.alias(name) for name, value in zip(names, state, strict=True))
-        )
-        for path, state in states.items()
+        rows.select(*kept, path=pl.lit(path), **{f"start_{name}": f"{begin}_{name}" for name in STATE}, **goal)
+        for path, (begin, goal) in ends.items()
     ]
     return pl.concat(blocks).with_columns(slot=pl.int_range(pl.len()))
 
 
 def _with_begins(legs: pl.DataFrame, routes: pl.DataFrame, constants: Constants) -> pl.DataFrame:
     slot = legs["slot"]
-    begins = {f"begin_{name}": f"start_{name}" for name in ("x_mm", "y_mm", "theta_deg")}
+    begins = {f"begin_{name}": f"start_{name}" for name in STATE}
     legs = legs.with_columns(routes[column][slot].alias(name) for name, column in begins.items())
     legs = legs.with_columns(
         is_first=(pl.col("slot") != pl.col("slot").shift(1)).fill_null(value=True),

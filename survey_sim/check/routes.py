@@ -51,7 +51,7 @@ def check_ends(log: FaultLog, part: Part) -> None:
     log.add("ends", "legs", routes.filter(is_dead & moves), "a dead robot moves")
     log.add("ends", "legs", routes.filter(is_unrouted & moves), "an unrouted robot moves")
     is_away = pl.col("gap_mm") > POSITION_MM
-    astray = routes.filter(is_away & ~is_unrouted & (~is_dead | is_to_target))
+    astray = routes.filter(is_away & ~is_unrouted)
     log.add(
         "ends",
         "legs",
@@ -74,11 +74,14 @@ def check_ends(log: FaultLog, part: Part) -> None:
 
 
 def check_reach(log: FaultLog, part: Part, constants: Constants) -> None:
-    """Ends and corners of legs, and resting places, lie inside the robot's patrol disc and the plate."""
+    """Ends and corners of legs and resting places lie inside the patrol disc and the plate; a dead robot is where it is."""
     columns = ("park_x_mm", "park_y_mm", "patrol_radius_mm")
     row = part.legs["slot"] % max(part.rows.height, 1)
     legs = part.legs.with_columns(part.rows[name][row] for name in columns)
-    _check_inside(log, part.rows, "allocations", "x_mm", "y_mm", constants, "resting place")
+    live = part.rows.filter(pl.col("state") == "live")
+    first = live.filter(pl.col("visit_id") == 0)
+    _check_inside(log, live, "allocations", "x_mm", "y_mm", constants, "resting place")
+    _check_inside(log, first, "allocations", "last_x_mm", "last_y_mm", constants, "first position")
     _check_inside(log, legs, "legs", "x_mm", "y_mm", constants, "end of leg")
     _check_inside(log, legs, "legs", "corner_x_mm", "corner_y_mm", constants, "corner of leg")
 
