@@ -6,7 +6,9 @@ declared beyond what the file holds (the parser would allocate them).
 """
 
 import zlib
+from bisect import bisect_right
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from xml.parsers import expat
 
@@ -27,17 +29,20 @@ class Outline:
     ----------
     row_lines
         Of each TABLE in turn: the line on which each TR begins.
+    last_lines
+        Of each TABLE: its last line; infinite while it has not ended.
     """
 
     table_names: list[str] = field(default_factory=list)
     row_lines: list[list[int]] = field(default_factory=list)
+    last_lines: list[float] = field(default_factory=list)
 
     def place(self, line: int) -> str | None:
         """Table and row (from 0) of a line, if a row stands there."""
-        for name, lines in zip(self.table_names, self.row_lines, strict=True):
-            before = [row for row, start in enumerate(lines) if start <= line]
-            if before and line <= lines[-1] + 1:
-                return f"table {name}, row {before[-1]}"
+        for name, lines, last in zip(self.table_names, self.row_lines, self.last_lines, strict=True):
+            row = bisect_right(lines, line) - 1
+            if row >= 0 and line <= last:
+                return f"table {name}, row {row}"
         return None
 
 
@@ -99,6 +104,7 @@ class _Watch:
         elif tag == "TABLE":
             self.outline.table_names.append(attributes.get("name", attributes.get("ID", "without name")))
             self.outline.row_lines.append([])
+            self.outline.last_lines.append(inf)
             self._check_size(attributes.get("nrows"), self.n_bytes, "nrows")
         elif tag in {"FIELD", "PARAM"}:
             for part in attributes.get("arraysize", "").replace("*", "").split("x"):
@@ -106,8 +112,10 @@ class _Watch:
         elif tag == "STREAM" and "href" in attributes:
             self._refuse("holds its data elsewhere (STREAM href is not followed)", "write the data into the file")
 
-    def end(self, _: str) -> None:
+    def end(self, name: str) -> None:
         self.depth -= 1
+        if name.rpartition(":")[2] == "TABLE":
+            self.outline.last_lines[-1] = self.parser.CurrentLineNumber
 
     def _check_size(self, text: str | None, most: int, attribute: str) -> None:
         if text and (not text.strip().isdigit() or int(text[:20]) > most):

@@ -21,6 +21,7 @@ from survey_sim.schema import Column
 
 if TYPE_CHECKING:
     from astropy.io.votable import tree
+    from astropy.table import Table as AstropyTable
 
 Serialisation = Literal["tabledata", "binary", "binary2"]
 
@@ -119,10 +120,12 @@ def votable_bytes(
         element.description = table_description
         resource.tables.append(element)
         kept = [column for column in columns if column.name in frame.columns]
-        element.fields.extend(_field(document, table_name, column) for column in kept)
+        element.fields.extend(_field(document, column) for column in kept)
         element.create_arrays(len(frame))
         for column in kept:
             element.array[column.name], element.array.mask[column.name] = _values(frame[column.name], column)
+        for item in element.fields:
+            item.ID = None  # else columns of one name in two TABLEs would share an ID, or need other names than their own
     buffer = BytesIO()
     document.to_xml(buffer, tabledata_format=serialisation)
     return buffer.getvalue()
@@ -157,6 +160,11 @@ def read(path: Path, model: FileModel) -> Document:
         if param is not None:
             values[column.name] = _param_value(param, column, reader)
     return Document(model, values, found, path)
+
+
+def read_columns(table: AstropyTable, path: Path, model: TableModel) -> pl.DataFrame:
+    """Declared columns of an astropy table (of a FITS file, say), by name and unit as in `read`."""
+    return _columns({name: (table[name], table[name]) for name in table.colnames}, model, _Reader(path, model.name))
 
 
 def _parse(content: bytes, outline: Outline, path: Path) -> tree.VOTableFile:
@@ -217,7 +225,13 @@ def _named(fields: Mapping[str, Any], name: str) -> Any:
 
 
 def _frame(element: tree.TableElement, table: TableModel, reader: _Reader) -> pl.DataFrame:
-    fields = {item.name: (item, key) for item, key in zip(element.fields, element.array.dtype.names or (), strict=True)}
+    keys = element.array.dtype.names or ()
+    fields = {item.name: (item, element.array[key]) for item, key in zip(element.fields, keys, strict=True)}
+    return _columns(fields, table, reader)
+
+
+def _columns(fields: Mapping[str, tuple[Any, Any]], table: TableModel, reader: _Reader) -> pl.DataFrame:
+    """Frame of the declared columns among `fields`: what declares each (name, unit), and its values."""
     columns = {}
     for column in table.columns:
         found = _named(fields, column.name)
@@ -226,8 +240,7 @@ def _frame(element: tree.TableElement, table: TableModel, reader: _Reader) -> pl
                 continue
             remedy = f"has {', '.join(fields)}" if fields else "the table has no columns"
             raise reader.refuse(f"no column {column.name!r}", remedy=remedy)
-        declared, key = found
-        columns[column.name] = _series(declared, element.array[key], column, reader)
+        columns[column.name] = _series(found[0], found[1], column, reader)
     return pl.DataFrame(columns)
 
 
@@ -253,7 +266,7 @@ def _as_text(value: Any) -> str:
 
 def _numbers(declared: tree.Field, data: np.ndarray, is_null: np.ndarray, column: Column, reader: _Reader) -> pl.Series:
     if data.dtype.kind not in "iufb":
-        raise reader.refuse(f"is of type {declared.datatype}, not a number", column=column.name)
+        raise reader.refuse("holds no numbers", column=column.name)
     if column.dtype.is_integer() and data.dtype.kind in "iu" and not column.unit:
         return (
             pl.Series(column.name, np.where(is_null, 0, data), strict=False).set(pl.Series(is_null), None).cast(column.dtype)
@@ -305,10 +318,10 @@ def _param_value(param: tree.Param, column: Column, reader: _Reader) -> Any:
     return int(number) if column.dtype.is_integer() else number
 
 
-def _field(document: tree.VOTableFile, table: str, column: Column) -> tree.Field:
+def _field(document: tree.VOTableFile, column: Column) -> tree.Field:
     from astropy.io.votable import tree  # noqa: PLC0415 - slow to import
 
-    element = tree.Field(document, ID=f"{table}.{column.name}", **_attributes(column))
+    element = tree.Field(document, ID=column.name, **_attributes(column))
     element.description = column.description
     if column.is_nullable and column.dtype.is_integer():
         element.values = tree.Values(document, element, null=_NULL_INTEGER)

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from survey_sim.allocation import FieldTargets
 from survey_sim.errors import InputError
-from survey_sim.exchange import CATALOGUE, read, read_columns
+from survey_sim.exchange import CATALOGUE, Document, read, read_columns
 from survey_sim.geometry import plate_to_sky, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.region import healpix_29
-from survey_sim.schema import TABLES
+from survey_sim.schema import TABLES, TARGET_KINDS
 
 SURVEY = "field"
 # Where a field whose place on the sky nobody gave is put.
 NOWHERE_DEG = (0.0, 0.0)
+# Half the sky, from the field's centre.
+SKY_RADIUS_DEG = 180.0
 _SUFFIXES = {".xml": "votable", ".vot": "votable", ".votable": "votable", ".gz": "votable"}
 _SUFFIXES |= {".fits": "fits", ".fit": "fits", ".csv": "csv", ".parquet": "parquet"}
 
@@ -29,7 +33,7 @@ def read_targets(path: Path, plate: Plate, centre_deg: tuple[float, float] | Non
     ----------
     path
         Needs `target_id`, and `x_mm`, `y_mm` or (with a centre) `ra_deg`, `dec_deg`; may have `kind` (science by default),
-        `priority` (9), `wanted_visits` (1), `mag`, `source_id`. VOTable and FITS columns are brought to these units by their own.
+        `priority` (9), `wanted_visits` (1), `mag`, `source_id`. VOTable and FITS columns are converted by their own units.
     centre_deg
         Right ascension and declination of the field centre; sky positions are then those that count.
 
@@ -42,16 +46,27 @@ def read_targets(path: Path, plate: Plate, centre_deg: tuple[float, float] | Non
     InputError
         With the file, and column, rule and rows of what is wrong.
     """
-    frame = _read(path)
-    for name in ("kind",):
-        if name in frame.columns and frame[name].dtype == pl.String:
-            frame = frame.with_columns(pl.col(name).fill_null("science"))
-    frame = _placed(frame, path, plate, centre_deg)
-    try:
-        checked = FieldTargets.from_table(frame)
-    except InputError as fault:
-        raise InputError(fault.rule, file=path, place=fault.place, rows=fault.rows, remedy=fault.remedy) from None
-    return _as_targets(frame, checked, plate, centre_deg or NOWHERE_DEG)
+    return _checked(_read(path), path, plate, centre_deg)
+
+
+def targets_of_catalogue(catalogue: Document, plate: Plate) -> pl.DataFrame:
+    """As `read_targets`, of a catalogue file that is read already; its plate positions count if it has them."""
+    frame, path = catalogue.table(), catalogue.file or Path(catalogue.model.name)
+    has_plate = {"x_mm", "y_mm"} <= set(frame.columns)
+    centre_deg = centre_of(catalogue.params)
+    return _checked(frame, path, plate, centre_deg, is_by_sky=not has_plate)
+
+
+def allocated_targets(visits: Sequence[pl.DataFrame], plate: Plate, centre_deg: tuple[float, float] | None) -> pl.DataFrame:
+    """As `read_targets`, of the targets that visits hold (target_id, kind, x_mm, y_mm) where no catalogue is at hand."""
+    frame = pl.concat(visits).drop_nulls("target_id").unique("target_id", keep="first").sort("target_id")
+    return _checked(frame, Path("allocation"), plate, centre_deg, is_by_sky=False)
+
+
+def centre_of(params: Mapping[str, Any]) -> tuple[float, float] | None:
+    """The field centre that a file gives, if it does."""
+    names = ("centre_ra_deg", "centre_dec_deg")
+    return (params[names[0]], params[names[1]]) if all(name in params for name in names) else None
 
 
 def field_targets(targets: pl.DataFrame) -> FieldTargets:
@@ -62,6 +77,29 @@ def field_targets(targets: pl.DataFrame) -> FieldTargets:
 def targets_table(targets: pl.DataFrame) -> pl.DataFrame:
     """Rows of the run's `targets`."""
     return targets.select(TABLES["targets"].names)
+
+
+def _checked(
+    frame: pl.DataFrame, path: Path, plate: Plate, centre_deg: tuple[float, float] | None, *, is_by_sky: bool = True
+) -> pl.DataFrame:
+    if "kind" in frame.columns:
+        frame = frame.with_columns(pl.col("kind").cast(pl.String).fill_null("science"))
+    frame = _placed(frame, path, plate, centre_deg if is_by_sky else None)
+    far_mm = SKY_RADIUS_DEG * 3600.0 / plate.instrument.plate_scale_arcsec_mm
+    far = np.hypot(*frame.select("x_mm", "y_mm").cast(pl.Float64, strict=False).to_numpy().T) > far_mm
+    if far.any():
+        raise InputError(
+            "further from the plate than the sky reaches",
+            file=path,
+            place="x_mm, y_mm",
+            rows=np.flatnonzero(far).tolist(),
+            remedy="give them in mm, or with their unit",
+        )
+    try:
+        checked = FieldTargets.from_table(frame)
+    except InputError as fault:
+        raise InputError(fault.rule, file=path, place=fault.place, rows=fault.rows, remedy=fault.remedy) from None
+    return _as_targets(frame, checked, plate, centre_deg or NOWHERE_DEG)
 
 
 def _read(path: Path) -> pl.DataFrame:
@@ -106,7 +144,7 @@ def _typed(frame: pl.DataFrame, path: Path) -> pl.DataFrame:
 def _read_fits(path: Path) -> pl.DataFrame:
     from astropy.table import Table  # noqa: PLC0415 - slow to import
 
-    return read_columns(Table.read(path, hdu=1), path, CATALOGUE.tables[0])
+    return read_columns(Table.read(path, hdu=1, format="fits"), path, CATALOGUE.tables[0])
 
 
 def _placed(frame: pl.DataFrame, path: Path, plate: Plate, centre_deg: tuple[float, float] | None) -> pl.DataFrame:
@@ -136,14 +174,14 @@ def _as_targets(frame: pl.DataFrame, checked: FieldTargets, plate: Plate, centre
         ra, dec = (frame[name].to_numpy()[order] for name in ("ra_deg", "dec_deg"))
     else:
         ra, dec = plate_to_sky(position, centre_deg, plate.instrument.plate_scale_arcsec_mm).T
-    kinds = np.array(["science", "standard", "sky", "guide"], dtype=object)[checked.kind]
+    kinds = np.array(TARGET_KINDS, dtype=object)[checked.kind]
     is_science = checked.is_science
     source = frame["source_id"].cast(pl.String).gather(order) if "source_id" in frame.columns else None
     made = pl.DataFrame(
         {
             "target_id": checked.target_id,
             "survey": [SURVEY] * checked.n_target,
-            "programme": np.where(is_science, SURVEY, None).tolist(),
+            "programme": [SURVEY if is_own else None for is_own in is_science],
             "kind": kinds.tolist(),
             "source_id": source if source is not None else pl.Series(checked.target_id).cast(pl.String),
             "ra_deg": ra,

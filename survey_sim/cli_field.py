@@ -1,0 +1,177 @@
+"""Commands of single fields and exchange files, for `cli`. Heavy libraries are imported where they are used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from survey_sim.errors import InputError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Instrument = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME/FILE", help="Preset or TOML file; by default the one that the files describe.", show_default=False
+    ),
+]
+RunOrFiles = Annotated[
+    list[Path],
+    typer.Argument(metavar="RUN_DIR / FILE.xml ...", help="A run folder, or exchange files in order.", show_default=False),
+]
+Out = Annotated[
+    Path | None, typer.Option(help="Folder to write; the run folder named, or runs/field, by default.", show_default=False)
+]
+
+# Short heads, so that a row fits a terminal.
+_SUMMARY_HEADS = {
+    "visit_id": "visit",
+    **{f"n_{kind}": kind for kind in ("science", "standard", "sky", "guide")},
+    "travel_mean_mm": "mean_mm",
+    "travel_max_mm": "max_mm",
+    "completeness_frac": "complete",
+}
+
+
+def allocate(
+    targets: Annotated[
+        Path,
+        typer.Argument(
+            help="VOTable, FITS, CSV or Parquet with target_id and x_mm, y_mm (or ra_deg, dec_deg).", show_default=False
+        ),
+    ],
+    instrument: Annotated[str, typer.Option(metavar="NAME/FILE", help="Preset or TOML file.")] = "taipan-150",
+    algorithm: Annotated[str, typer.Option(help="ideal, cda-basic, cda-advanced, matching or plan.")] = "plan",
+    visits: Annotated[
+        int | None, typer.Option(min=1, help="Visits; by default as many as completeness needs.", show_default=False)
+    ] = None,
+    travel_power: Annotated[float, typer.Option(help="Cost of a move of d mm is d^POWER.")] = 4.0,
+    centre: Annotated[
+        str | None, typer.Option(metavar="RA,DEC", help="Field centre, deg; sky positions then count.", show_default=False)
+    ] = None,
+    dead: Annotated[
+        list[int] | None, typer.Option(metavar="ROBOT", help="Robot that never moves. May be repeated.", show_default=False)
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random streams.")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/field"),
+    quiet: Quiet = False,
+) -> None:
+    """Allocate the targets of one field: tables, and one allocation file a visit."""
+    from survey_sim.survey.field import allocate_field
+
+    made = allocate_field(
+        targets,
+        out,
+        instrument=instrument,
+        algorithm=algorithm,
+        visits=visits,
+        travel_power=travel_power,
+        centre_deg=None if centre is None else _centre(centre),
+        dead=tuple(dead or ()),
+        seed=seed,
+    )
+    console = _console(quiet)
+    console.print(_table(made.summary.rename(_SUMMARY_HEADS)))
+    if made.n_off_plate:
+        console.print(f"[yellow]warning:[/yellow] {made.n_off_plate} targets lie outside the plate")
+    console.print(f"{len(made.files)} allocation files: [bold]{made.files[0].parent}[/bold]")
+    console.print(f"  next  survey-sim route {made.out}")
+
+
+def route(
+    sources: RunOrFiles,
+    router: Annotated[
+        str, typer.Option(help="simple-vector, traffic-light, cooperative-astar or coordinated.")
+    ] = "coordinated",
+    start: Annotated[
+        Path | None, typer.Option(metavar="POSITIONS.xml", help="Backup file of the robots' positions.", show_default=False)
+    ] = None,
+    instrument: Instrument = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random streams.")] = 1,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Route the three paths of each visit: tables, and one router file a visit."""
+    from survey_sim.survey.field import route_field
+
+    made = route_field(sources, out, router=router, instrument=instrument, start=start, seed=seed)
+    console = _console(quiet)
+    console.print(_table(_path_figures(made.paths)))
+    console.print(f"{len(made.files)} router files: [bold]{made.files[0].parent}[/bold]")
+    console.print(f"  watch  survey-sim view {made.out}")
+
+
+def simulate(
+    sources: RunOrFiles,
+    instrument: Instrument = None,
+    stop_at: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", min=0.0, help="Also write a backup file, so far into the last visit.", show_default=False
+        ),
+    ] = None,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Play router files: times of every robot and path, and whatever collides; tables and CSV."""
+    from survey_sim.survey.field import simulate_field
+
+    made = simulate_field(sources, out, instrument=instrument, stop_at_s=stop_at)
+    console = _console(quiet)
+    console.print(_table(_path_figures(made.paths)))
+    for finding in made.findings:
+        typer.echo(f"found: {finding}")
+    console.print(f"{made.out / 'paths.csv'}, {made.out / 'robot_times.csv'}")
+
+
+def add_field_commands(app: typer.Typer) -> None:
+    """Register the commands."""
+    for command in (allocate, route, simulate):
+        app.command()(command)
+
+
+def _centre(text: str) -> tuple[float, float]:
+    try:
+        ra, dec = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"cannot read {text!r}", place="--centre", remedy="write --centre RA,DEC in degrees") from None
+    if not (0 <= ra <= 360 and -90 <= dec <= 90):
+        raise InputError(f"{text!r} is no place on the sky", place="--centre", remedy="RA in 0 to 360, DEC in -90 to 90")
+    return ra, dec
+
+
+def _path_figures(paths: pl.DataFrame) -> pl.DataFrame:
+    import polars as pl
+
+    return paths.select(
+        pl.col("visit_id").alias("visit"),
+        "path",
+        pl.col("configuration_time_s").alias("time_s"),
+        pl.col("configuration_time_p95_s").alias("p95_s"),
+        pl.col("lower_bound_s").alias("bound_s"),
+        "ticks",
+        "collisions",
+        "unrouted",
+    )
+
+
+def _table(frame: pl.DataFrame) -> Any:
+    """A frame as rich prints it."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name in frame.columns:
+        table.add_column(name, no_wrap=True, justify="right" if frame[name].dtype.is_numeric() else "left")
+    for row in frame.iter_rows():
+        table.add_row(*(f"{value:.2f}" if isinstance(value, float) else str(value) for value in row))
+    return table
+
+
+def _console(quiet: bool) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=True, quiet=quiet, highlight=False)

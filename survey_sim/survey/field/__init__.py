@@ -1,0 +1,20 @@
+"""Single fields, on files alone: allocate, route, simulate, as instrument people do field by field.
+
+Each command is one function: files in; a run's folder with tables and exchange files out, written when all of it is known.
+"""
+
+from survey_sim.survey.field.allocate import FieldAllocation, allocate_field
+from survey_sim.survey.field.route import FieldRoutes, route_field
+from survey_sim.survey.field.rows import visits_of_run
+from survey_sim.survey.field.simulate import FieldSimulation, simulate_field, standing_at
+
+__all__ = [
+    "FieldAllocation",
+    "FieldRoutes",
+    "FieldSimulation",
+    "allocate_field",
+    "route_field",
+    "simulate_field",
+    "standing_at",
+    "visits_of_run",
+]

@@ -1,0 +1,142 @@
+"""The folder of a single-field run: tables, exchange files, run.json; written when all of them are known."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from survey_sim import __version__, tables
+from survey_sim.errors import InputError
+from survey_sim.exchange import CATALOGUE, Document, plate_documents, read, to_bytes
+from survey_sim.instrument import Plate, robots_table
+from survey_sim.schema import SCHEMA_VERSION, TABLES
+from survey_sim.survey.field.targets import NOWHERE_DEG, SURVEY, targets_table
+
+XML = "xml"
+# The way home from the last visit, so that any order of visits has a way to park.
+STOW_FILE = "stow.xml"
+CATALOGUE_FILE = "catalogue.xml"
+# Why run.json of a single field is told from that of a pipeline.
+KIND = "field"
+_OWN_FILE = re.compile(r"(allocation|router|positions)_\w+\.xml|(system_parameters|starbugs|catalogue|stow)\.xml")
+
+
+def file_name(model: str, visit_id: int) -> str:
+    """Name of a visit's exchange file: `allocation_0003.xml`."""
+    return f"{model}_{visit_id:04d}.xml"
+
+
+def find_files(sources: Sequence[Path], model: str) -> list[Path]:
+    """The exchange files of one kind: those named, or those of the run folder named.
+
+    Raises
+    ------
+    InputError
+        The folder holds none, or one is not there.
+    """
+    if len(sources) == 1 and sources[0].is_dir():
+        found = sorted((sources[0] / XML).glob(f"{model}_*.xml"))
+        if not found:
+            rule = f"holds no {XML}/{model}_*.xml"
+            raise InputError(rule, file=sources[0], remedy="name the folder of a single-field run, or the files")
+        return found
+    for path in sources:
+        if not path.is_file():
+            raise InputError("no such file", file=path, remedy="name one run folder, or exchange files")
+    return list(sources)
+
+
+def check_out(out: Path) -> None:
+    """Refuse to write a single field over anything else."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise InputError("is a file, not a folder", file=out, remedy="choose another --out")
+    record = out / "run.json"
+    is_field = record.is_file() and f'"kind": "{KIND}"' in record.read_text(encoding="utf-8", errors="replace")
+    if any(out.iterdir()) and not is_field:
+        raise InputError("holds other things than a single field", file=out, remedy="choose another --out")
+
+
+def write_folder(
+    out: Path,
+    plate: Plate,
+    frames: Mapping[str, pl.DataFrame],
+    files: Mapping[str, bytes],
+    record: Mapping[str, Any],
+) -> None:
+    """Write a run's tables, other files (by their path in the folder) and run.json; what an earlier run left there goes.
+
+    Parameters
+    ----------
+    frames
+        Rows of each table, already of the schema.
+    """
+    encoded = {name: tables.encode(frame, name) for name, frame in frames.items()}
+    entries = {
+        "package": "survey-sim",
+        "version": __version__,
+        "schema_version": SCHEMA_VERSION,
+        "kind": KIND,
+        "name": out.name,
+        "instrument": plate.instrument.model_dump(mode="json"),
+        **record,
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    _clear(out)
+    for name, content in encoded.items():
+        path = out / (f"{name}/{SURVEY}-00000.parquet" if TABLES[name].is_in_parts else f"{name}.parquet")
+        tables.write_bytes(content, path, aside=out)
+    for place, content in files.items():
+        tables.write_bytes(content, out / place, aside=out)
+    tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True) + "\n").encode(), out / "run.json")
+
+
+def common_tables(plate: Plate, targets: pl.DataFrame, centre_deg: tuple[float, float] | None) -> dict[str, pl.DataFrame]:
+    """robots, targets and tiles of one field."""
+    ra, dec = centre_deg or NOWHERE_DEG
+    n_target = targets.filter(kind="science").height
+    tile = {"survey": SURVEY, "tile_id": 0, "ra_deg": ra, "dec_deg": dec, "n_target": n_target}
+    frames = {"robots": robots_table(plate, SURVEY), "targets": targets_table(targets), "tiles": pl.DataFrame([tile])}
+    return {name: tables.conform(frame, name) for name, frame in frames.items()}
+
+
+def common_files(plate: Plate, targets: pl.DataFrame, centre_deg: tuple[float, float] | None) -> dict[str, bytes]:
+    """The exchange files of the instrument and of the catalogue."""
+    system, starbugs = plate_documents(plate)
+    columns = [column.name for column in CATALOGUE.tables[0].columns]
+    params = {"survey": SURVEY, "tile_id": 0, **centre_params(centre_deg)}
+    catalogue = Document(CATALOGUE, {**system.params, **params}, {"targets": targets.select(columns)})
+    named = {"system_parameters.xml": system, "starbugs.xml": starbugs, CATALOGUE_FILE: catalogue}
+    return {f"{XML}/{name}": to_bytes(document) for name, document in named.items()}
+
+
+def centre_params(centre_deg: tuple[float, float] | None) -> dict[str, float]:
+    """PARAMs of the field centre, if it is known."""
+    return {} if centre_deg is None else {"centre_ra_deg": centre_deg[0], "centre_dec_deg": centre_deg[1]}
+
+
+def catalogue_beside(path: Path) -> Document | None:
+    """The catalogue that stands beside an exchange file, if there is one."""
+    beside = path.parent / CATALOGUE_FILE
+    return read(beside, CATALOGUE) if beside.is_file() else None
+
+
+def _clear(out: Path) -> None:
+    """Remove tables and exchange files of an earlier single-field run."""
+    for name, table in TABLES.items():
+        if table.is_in_parts:
+            shutil.rmtree(out / name, ignore_errors=True)
+        else:
+            (out / f"{name}.parquet").unlink(missing_ok=True)
+    for path in (out / XML).glob("*.xml"):
+        if re.fullmatch(
+            r"(allocation|router|positions)_\d+\.xml|system_parameters\.xml|starbugs\.xml|catalogue\.xml", path.name
+        ):
+            path.unlink()
