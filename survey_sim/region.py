@@ -62,7 +62,10 @@ class Region(Settings):
 def abs_galactic_latitude_deg(ra_deg: FloatArray, dec_deg: FloatArray) -> FloatArray:
     """(n,) distance from the Galactic equator, deg."""
     pole = unit_vectors(np.array([GALACTIC_POLE_DEG[0]]), np.array([GALACTIC_POLE_DEG[1]]))[0]
-    return np.degrees(np.arcsin(np.abs(unit_vectors(ra_deg, dec_deg) @ pole).clip(max=1.0)))
+    vectors = unit_vectors(ra_deg, dec_deg)
+    # Term by term: the last digit of a matrix product depends on a row's place in the matrix.
+    sine = vectors[:, 0] * pole[0] + vectors[:, 1] * pole[1] + vectors[:, 2] * pole[2]
+    return np.degrees(np.arcsin(np.abs(sine).clip(max=1.0)))
 
 
 def healpix_29(ra_deg: FloatArray, dec_deg: FloatArray) -> IntArray:

@@ -40,7 +40,7 @@ class TilingSettings(Settings):
 
     # Part of the sky that the run is limited to.
     region: Region = Region()
-    # Furthest that a place may be from the nearest centre, in field radii: 1 = the fewest tiles that leave no gap.
+    # Furthest that a target may be from the centre of its home tile, in field radii: 1 gives the fewest tiles.
     max_distance_frac: float = Field(1.0, gt=0.05, le=1)
     # Leave out tiles whose targets are all on other plates, those with the fewest first.
     drop_redundant: bool = True
@@ -64,14 +64,15 @@ def make_tiles(
     -------
         Table `tiles`, and table `targets` with `tile_id` set for science targets.
     """
-    grid = covering(field_radius_deg * settings.max_distance_frac)
+    radius_deg = field_radius_deg * settings.max_distance_frac
+    grid = covering(radius_deg)
     is_science = (targets["kind"] == "science").to_numpy()
     vectors = unit_vectors(targets["ra_deg"].to_numpy(), targets["dec_deg"].to_numpy())
     home = np.full(targets.height, -1, dtype=np.int64)
     tiles = [tables.empty("tiles")]
     for survey in targets["survey"].unique(maintain_order=True).sort().to_list():
         mine = np.flatnonzero(is_science & (targets["survey"] == survey).to_numpy())
-        centres, home[mine] = _tile_survey(vectors[mine], grid, field_radius_deg * (1.0 - _EDGE), settings)
+        centres, home[mine] = _tile_survey(vectors[mine], grid, radius_deg * (1.0 - _EDGE), settings)
         tiles.append(_tiles_table(survey, centres, home[mine]))
     with_home = targets.with_columns(pl.Series("tile_id", home, dtype=pl.Int32)).with_columns(
         pl.when(pl.col("tile_id") >= 0).then(pl.col("tile_id")).alias("tile_id")
@@ -259,7 +260,8 @@ def icosahedral_grid(a: int, b: int) -> FloatArray:
 
 def _on_sphere(weights: FloatArray, corners: FloatArray) -> FloatArray:
     """(n, 3) unit vectors of barycentric coordinates on a face; see `_WARP`."""
-    points = np.sin(weights * _WARP * np.arccos(corners[0] @ corners[1])) @ corners
+    sines = np.sin(weights * _WARP * np.arccos(corners[0] @ corners[1]))
+    points = np.einsum("nk,kj->nj", sines, corners)  # not by BLAS, whose last digits depend on the number of threads
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 

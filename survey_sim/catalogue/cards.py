@@ -125,6 +125,16 @@ class Card:
         """Name of the catalogue."""
         return self.settings.name
 
+    @property
+    def title(self) -> str:
+        """What the catalogue is."""
+        return self.settings.title
+
+    @property
+    def licence(self) -> str:
+        """Terms of use of its data."""
+        return self.settings.licence
+
 
 def load_card(name_or_path: str | Path, folder: Path) -> Card:
     """Card of a name (in `folder`), of a card's path, or of a table without a card.

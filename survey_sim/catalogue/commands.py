@@ -23,18 +23,18 @@ def check_catalogue(name_or_path: str | Path, folder: Path, cache_dir: Path | No
     rows = catalogue.rows
     found: dict[str, Any] = {
         "catalogue": card.name,
-        "title": card.settings.title or "-",
+        "title": card.title or "-",
         "source": card.settings.source or "-",
-        "licence": card.settings.licence or "-",
+        "licence": card.licence or "-",
         "file": str(catalogue.path),
         "sha256": catalogue.sha256,
         "usable rows": rows.height,
     }
     for name in ("ra_deg", "dec_deg", "mag"):
-        low, high = rows[name].min(), rows[name].max()
-        found[name] = "-" if low is None else f"{low:.6g} to {high:.6g}"
+        values = rows[name].drop_nulls().to_numpy()
+        found[name] = f"{values.min():.4f} to {values.max():.4f}" if len(values) else "-"
     reasons = catalogue.rejected.group_by("reason").len().sort("reason")
-    return found | {f"rejected, {reason}": n for reason, n in reasons.iter_rows()}
+    return found | {f"rejected, {row['reason']}": row["len"] for row in reasons.iter_rows(named=True)}
 
 
 def make_catalogue(name_or_path: str | Path, folder: Path, seed: int | None, out: Path | None) -> dict[str, Any]:

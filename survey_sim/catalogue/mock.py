@@ -116,10 +116,10 @@ def _power(recipe: MockRecipe, l_max: int) -> FloatArray:
     cosine = np.cos(theta)
     power = np.empty(l_max + 1)
     before, now = np.ones_like(cosine), cosine
-    power[0], power[1] = 0.0, weight @ now
+    power[0], power[1] = 0.0, np.sum(weight * now)
     for degree in range(2, l_max + 1):
         before, now = now, ((2 * degree - 1) * cosine * now - (degree - 1) * before) / degree
-        power[degree] = weight @ now
+        power[degree] = np.sum(weight * now)  # not a BLAS product, whose last digits depend on the number of threads
     return power.clip(min=0.0)
 
 

@@ -9,7 +9,8 @@ import gzip
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
 from io import BytesIO
@@ -141,8 +142,7 @@ def _parse_fits(content: bytes, path: Path, names: Sequence[str], max_bytes: int
     from astropy.io import fits  # noqa: PLC0415 - 0.3 s that the command line's help need not pay
     from astropy.table import Table  # noqa: PLC0415 - as above
 
-    with warnings.catch_warnings(), fits.open(BytesIO(content), memmap=False) as units:
-        warnings.simplefilter("ignore")
+    with _only_warned_of_truncation(), fits.open(BytesIO(content), memmap=False) as units:
         tables = [unit for unit in units[1:] if isinstance(unit, fits.BinTableHDU | fits.TableHDU)]
         if not tables:
             raise InputError("holds no table", file=path, remedy="the first table extension is read")
@@ -158,12 +158,20 @@ def _parse_votable(content: bytes, path: Path, names: Sequence[str], max_bytes: 
         raise InputError("points to data elsewhere, or packed", file=path, remedy="save it with its data inside (TABLEDATA)")
     from astropy.io.votable import parse as parse_votable  # noqa: PLC0415 - 0.3 s that the command line's help need not pay
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _only_warned_of_truncation():
         document = parse_votable(BytesIO(content), verify="ignore")
         table = document.get_first_table().to_table(use_names_over_ids=True)
     _check_columns(names, table.colnames, path)
     return _from_astropy(table, names)
+
+
+@contextmanager
+def _only_warned_of_truncation() -> Iterator[None]:
+    """Departures from a standard are passed over in silence; a file cut short is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", message=".*truncated")
+        yield
 
 
 def _from_astropy(table: Any, names: Sequence[str]) -> RawTable:

@@ -143,7 +143,7 @@ def _text(frame: pl.DataFrame, path: Path) -> pl.Series:
 
 
 def _priority(values: pl.Series, path: Path) -> pl.Series:
-    bad = (~values.fill_nan(None).is_in(list(range(1, 10)))).fill_null(True).arg_true().to_list()
+    bad = (~values.fill_nan(None).is_in([float(value) for value in range(1, 10)])).fill_null(True).arg_true().to_list()
     if bad:
         raise InputError("not a whole number from 1 to 9", file=path, place=values.name, rows=bad, remedy="1 is low, 9 high")
     return values.cast(pl.Int8).alias("priority")

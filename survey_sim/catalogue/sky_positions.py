@@ -18,11 +18,10 @@ CELL_ORDER = 5
 CELL_SQ_DEG = 41_252.961 / (12 * 4**CELL_ORDER)
 # Candidates drawn for each position wanted; where stars are so many that too few are clear, there are fewer positions.
 _SPARE_FRAC = 1.5
-_STREAM = 0x5C1
 
 
 def sky_positions(
-    cells: IntArray, density_per_sq_deg: float, clearance_arcsec: float, objects: FloatArray, seed: int
+    cells: IntArray, density_per_sq_deg: float, clearance_arcsec: float, objects: cKDTree, seed: int
 ) -> pl.DataFrame:
     """Sky positions in HEALPix cells of order `CELL_ORDER`.
 
@@ -34,46 +33,28 @@ def sky_positions(
     cells
         (n_cell,) nested cells.
     objects
-        (n_object, 2) right ascension and declination of everything to keep away from, deg.
+        Tree of the unit vectors of everything to keep away from.
 
     Returns
     -------
         source_id (`sky-<cell>-<candidate>`), ra_deg, dec_deg, `_healpix_29`; the density, rounded to a number a cell.
     """
     n_wanted = max(1, round(density_per_sq_deg * CELL_SQ_DEG))
-    n_candidate = int(np.ceil(n_wanted * _SPARE_FRAC)) + 4
-    fine = np.concatenate([_candidates(int(cell), n_candidate, seed) for cell in cells] or [np.empty(0, dtype=np.int64)])
-    ra_deg, dec_deg = healpix_positions(fine, HEALPIX_ORDER)
-    clear = _is_clear(ra_deg, dec_deg, objects, clearance_arcsec / 3600.0).reshape(-1, n_candidate)
-    chosen = (clear & (np.cumsum(clear, axis=1) <= n_wanted)).ravel()
+    fine = _candidates(cells, int(np.ceil(n_wanted * _SPARE_FRAC)) + 4, seed)
+    ra_deg, dec_deg = healpix_positions(fine.ravel(), HEALPIX_ORDER)
+    nearest, _ = objects.query(unit_vectors(ra_deg, dec_deg), distance_upper_bound=chord(clearance_arcsec / 3600.0))
+    clear = np.isinf(nearest).reshape(fine.shape)
+    chosen = np.flatnonzero(clear & (np.cumsum(clear, axis=1) <= n_wanted))
     drawn = pl.DataFrame(
         {
-            "cell": np.repeat(cells, n_candidate),
-            "candidate": np.tile(np.arange(n_candidate), len(cells)),
-            "ra_deg": ra_deg,
-            "dec_deg": dec_deg,
-            "_healpix_29": fine,
+            "cell": cells[chosen // fine.shape[1]],
+            "candidate": chosen % fine.shape[1],
+            "ra_deg": ra_deg[chosen],
+            "dec_deg": dec_deg[chosen],
+            "_healpix_29": fine.ravel()[chosen],
         }
-    ).filter(chosen)
+    )
     return drawn.select(pl.format("sky-{}-{}", "cell", "candidate").alias("source_id"), "ra_deg", "dec_deg", "_healpix_29")
-
-
-def _candidates(cell: int, n: int, seed: int) -> IntArray:
-    """(n,) cells of order 29 inside a cell, each in a sub-cell of its own."""
-    rng = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, cell]))
-    depth = int(np.ceil(np.log(n) / np.log(4)))
-    sub = rng.choice(4**depth, n, replace=False)
-    shift = 2 * (HEALPIX_ORDER - CELL_ORDER - depth)
-    return (((cell << (2 * depth)) + sub) << shift) + rng.integers(0, 1 << shift, n)
-
-
-def _is_clear(ra_deg: FloatArray, dec_deg: FloatArray, objects: FloatArray, clearance_deg: float) -> npt.NDArray[np.bool_]:
-    """(n,) whether no object is nearer to a position than the clearance."""
-    if not len(objects) or not len(ra_deg):
-        return np.ones(len(ra_deg), dtype=np.bool_)
-    tree = cKDTree(unit_vectors(*objects.T), balanced_tree=False)
-    nearest, _ = tree.query(unit_vectors(ra_deg, dec_deg), distance_upper_bound=chord(clearance_deg))
-    return np.isinf(nearest)
 
 
 def cells_of(
@@ -85,3 +66,27 @@ def cells_of(
     margin_deg = np.sqrt(CELL_SQ_DEG)
     inside = (dec_deg > dec_limits_deg[0] - margin_deg) & (dec_deg < dec_limits_deg[1] + margin_deg)
     return np.unique(sixteenths[inside & keep(ra_deg, dec_deg)] >> 4)
+
+
+def _candidates(cells: IntArray, n: int, seed: int) -> IntArray:
+    """(n_cell, n) cells of order 29 inside each cell, each in a sub-cell of its own."""
+    depth = int(np.ceil(np.log(n) / np.log(4)))
+    sub = (cells[:, None] << (2 * depth)) + np.arange(4**depth)
+    draw = _hashed(sub.astype(np.uint64) ^ _hashed(np.array([seed], dtype=np.uint64)))
+    first = np.argsort(draw, axis=1, kind="stable")[:, :n]
+    offset_bits = 2 * (HEALPIX_ORDER - CELL_ORDER - depth)
+    offset = _hashed(np.take_along_axis(draw, first, axis=1)) >> np.uint64(64 - offset_bits)
+    return (np.take_along_axis(sub, first, axis=1) << offset_bits) + offset.astype(np.int64)
+
+
+def _hashed(values: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Uniform 64-bit numbers, independent for different numbers: a random stream a cell without thousands of generators.
+
+    References
+    ----------
+    Steele, Lea & Flood 2014, OOPSLA, doi:10.1145/2660193.2660195: SplitMix64.
+    """
+    mixed = values + np.uint64(0x9E3779B97F4A7C15)
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return mixed ^ (mixed >> np.uint64(31))

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from survey_sim import tables
 from survey_sim.catalogue.cards import CardSettings, load_card
 from survey_sim.catalogue.merging import merge_close
+from survey_sim.catalogue.ordering import content_order
 from survey_sim.catalogue.reading import Catalogue, read_catalogue
 from survey_sim.catalogue.settings import PriorityBin, PriorityRule, ProgrammeSettings
 from survey_sim.catalogue.sky_positions import cells_of, sky_positions
@@ -105,6 +106,7 @@ def make_targets(
     _check_names(programmes)
     catalogues = _read_all(programmes, catalogues_folder, cache_dir)
     objects = _all_positions(catalogues)
+    tree = cKDTree(unit_vectors(*objects.T), balanced_tree=False)
     taken: list[pl.DataFrame] = []
     lost: list[pl.DataFrame] = []
     for survey in dict.fromkeys(programme.survey for programme in programmes):
@@ -117,7 +119,7 @@ def make_targets(
             stars, rejected = _stars(mine, kind, catalogues, near)
             taken.append(stars)
             lost.append(rejected)
-        taken += [_sky(programme, near, objects, seed) for programme in mine if programme.kind == "sky"]
+        taken += [_sky(programme, near, objects, tree, seed) for programme in mine if programme.kind == "sky"]
     targets = _numbered(taken)
     rejected = _rejected(lost)
     n_target = _count_programmes(programmes, taken)
@@ -239,9 +241,11 @@ def _thin(rows: pl.DataFrame, density_per_sq_deg: float) -> pl.DataFrame:
     n_cell = density_per_sq_deg * sphere_sq_deg / _N_WANTED_A_CELL
     order = int(np.clip(np.floor(np.log(max(n_cell / 12, 1.0)) / np.log(4)), 0, HEALPIX_ORDER))
     n_wanted = max(1, round(density_per_sq_deg * sphere_sq_deg / (12 * 4**order)))
-    cell = pl.col("_healpix_29").floordiv(4 ** (HEALPIX_ORDER - order))
-    ranked = rows.with_columns(cell=cell).sort("cell", "mag", "source_id", nulls_last=True)
-    return ranked.filter(pl.int_range(pl.len()).over("cell") < n_wanted).drop("cell")
+    cell = rows["_healpix_29"].to_numpy() >> (2 * (HEALPIX_ORDER - order))
+    mag = rows["mag"].fill_null(np.inf).to_numpy()
+    ranked = content_order((cell, mag, rows["_healpix_29"].to_numpy()), rows["source_id"])
+    place = np.arange(len(ranked)) - np.searchsorted(cell[ranked], cell[ranked])
+    return rows[np.sort(ranked[place < n_wanted])]
 
 
 def _reach(science: pl.DataFrame, reach_deg: float) -> _Keep:
@@ -276,14 +280,14 @@ def _all_positions(catalogues: Mapping[str, Catalogue]) -> FloatArray:
     return pl.concat(frames).filter(is_on_sky).to_numpy()
 
 
-def _sky(programme: ProgrammeSettings, keep: _Keep, objects: FloatArray, seed: int) -> pl.DataFrame:
+def _sky(programme: ProgrammeSettings, keep: _Keep, objects: FloatArray, tree: cKDTree, seed: int) -> pl.DataFrame:
     """Sky positions of a survey, within reach of its science targets and in the declinations of the objects known."""
     if not len(objects):
         return _no_target()
     south = max(programme.dec_min_deg, float(objects[:, 1].min()))
     north = min(programme.dec_max_deg, float(objects[:, 1].max()))
     cells = cells_of((south, north), keep)
-    rows = sky_positions(cells, programme.density_per_sq_deg or 0.0, programme.clearance_arcsec, objects, seed)
+    rows = sky_positions(cells, programme.density_per_sq_deg or 0.0, programme.clearance_arcsec, tree, seed)
     ra_deg, dec_deg = rows["ra_deg"].to_numpy(), rows["dec_deg"].to_numpy()
     inside = keep(ra_deg, dec_deg) & (dec_deg >= south) & (dec_deg <= north)
     if programme.abs_b_min_deg > 0:
@@ -310,9 +314,18 @@ def _no_target() -> pl.DataFrame:
 
 def _numbered(parts: Sequence[pl.DataFrame]) -> pl.DataFrame:
     """All targets sorted by (_healpix_29, survey, kind, programme, source_id), numbered in that order."""
-    frame = pl.concat([_no_target(), *parts]).sort("_healpix_29", "survey", "kind", "programme", "source_id")
-    frame = frame.with_columns(target_id=pl.int_range(pl.len(), dtype=pl.Int64), tile_id=pl.lit(None, dtype=pl.Int32))
+    frame = pl.concat([_no_target(), *parts])
+    codes = [_code(frame[name]) for name in ("survey", "kind", "programme")]
+    code = (codes[0] * (codes[1].max(initial=0) + 1) + codes[1]) * (codes[2].max(initial=0) + 1) + codes[2]
+    order = content_order((frame["_healpix_29"].to_numpy(), code), frame["source_id"])
+    frame = frame[order].with_columns(target_id=pl.int_range(pl.len(), dtype=pl.Int64), tile_id=pl.lit(None, dtype=pl.Int32))
     return frame.select(tables.empty("targets").columns)
+
+
+def _code(words: pl.Series) -> npt.NDArray[np.int64]:
+    """(n,) place of each word in alphabetical order, null before all."""
+    known = pl.Enum(words.drop_nulls().unique().sort())
+    return (words.cast(known).to_physical().cast(pl.Int64) + 1).fill_null(0).to_numpy()
 
 
 def _bad_rows(programmes: Sequence[ProgrammeSettings], catalogues: Mapping[str, Catalogue]) -> list[pl.DataFrame]:
