@@ -381,6 +381,8 @@ def _insert_interval(lo, hi, n, d0, d1):
 # Coordinated routing: every robot has one plan (way points, waits, a start delay); pairs that come too near are conflicts;
 # robots in conflict are planned again, one at a time, for the least weight of conflicts.
 
+# What a conflict's weight gains at each low point that it survives.
+WEIGHT_GAIN = 0.3
 MAX_INTERVALS = 12
 MAX_EVENTS = 1024
 # Weight of a conflict with a robot that cannot move.
@@ -459,17 +461,13 @@ def pair_radius(plans, i, j, separation, margin):
 
 
 @njit(cache=True)
-def is_near(plans, i, j, r):
-    """Whether two plans come nearer than r."""
-    r2 = (r - TOUCH_MM) ** 2
-    ti, xi, yi, tj, xj, yj = plans.kt[i], plans.kx[i], plans.ky[i], plans.kt[j], plans.kx[j], plans.ky[j]
-    a, b, a_last, b_last = 0, 0, plans.n_knot[i] - 1, plans.n_knot[j] - 1
+def closest2(ti, xi, yi, ni, tj, xj, yj, nj, enough2):
+    """Least squared distance of two trajectories; any value below `enough2` once it is that near."""
     ex, ey = xi[0] - xj[0], yi[0] - yj[0]
-    if ex * ex + ey * ey < r2:
-        return True
+    least2 = ex * ex + ey * ey
     # From the first knot of either on; the other stands until its own.
-    a, b = -1, -1
-    while a < a_last or b < b_last:
+    a, b, a_last, b_last = -1, -1, ni - 1, nj - 1
+    while (a < a_last or b < b_last) and least2 >= enough2:
         ta = ti[a + 1] if a < a_last else np.inf
         tb = tj[b + 1] if b < b_last else np.inf
         event = min(ta, tb)
@@ -481,14 +479,31 @@ def is_near(plans, i, j, r):
         if uu > 0.0:
             s = min(1.0, max(0.0, -(ex * ux + ey * uy) / uu))
         gx, gy = ex + s * ux, ey + s * uy
-        if gx * gx + gy * gy < r2:
-            return True
+        least2 = min(least2, gx * gx + gy * gy)
         ex, ey = fx, fy
         if ta <= event:
             a += 1
         if tb <= event:
             b += 1
-    return False
+    return least2
+
+
+@njit(cache=True)
+def is_near(plans, i, j, r):
+    """Whether two plans come nearer than r."""
+    r2 = (r - TOUCH_MM) ** 2
+    least2 = closest2(
+        plans.kt[i], plans.kx[i], plans.ky[i], plans.n_knot[i],
+        plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], r2,
+    )  # fmt: skip
+    return least2 < r2
+
+
+@njit(cache=True)
+def conflict_score(plans, i, j, t, x, y, n, r):
+    """Weight of a conflict of robot i, on this trajectory, with j: half of it however slight, all of it if they meet."""
+    depth = 1.0 - np.sqrt(closest2(t, x, y, n, plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], 0.0)) / r
+    return (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED) * (0.5 + 0.5 * max(0.0, depth))
 
 
 @njit(cache=True)
@@ -546,24 +561,31 @@ class Events(NamedTuple):
 
     lo: np.ndarray
     hi: np.ndarray
-    weight: np.ndarray
+    robot: np.ndarray
     pair_lo: np.ndarray
     pair_hi: np.ndarray
+    late_t: np.ndarray
 
 
 @njit(cache=True)
 def new_events():
     """Room for the intervals of one shape."""
     return Events(
-        np.empty(MAX_EVENTS), np.empty(MAX_EVENTS), np.empty(MAX_EVENTS), np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
+        np.empty(MAX_EVENTS),
+        np.empty(MAX_EVENTS),
+        np.empty(MAX_EVENTS, dtype=np.int64),
+        np.empty(MAX_INTERVALS),
+        np.empty(MAX_INTERVALS),
+        np.empty(MAX_KNOTS),
     )
 
 
 @njit(cache=True)
-def best_delay(plans, i, shape, n_knot, late_leg, delay_max, separation, margin, limit, events):
-    """Least weight of conflicts over all delays of a shape from one leg on, and the least delay that has it.
+def best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, margin, limit, events):
+    """Least score of conflicts over delays of a shape from one leg on, and the delay that has it; inf if not below `limit`.
 
-    Gives up with infinite weight once no delay can be below `limit`.
+    Zero is found wherever it is: conflicts end only at the ends of forbidden intervals. Otherwise these, the extremes and
+    one delay at random are scored.
     """
     x0, x1 = shape.kx[:n_knot].min(), shape.kx[:n_knot].max()
     y0, y1 = shape.ky[:n_knot].min(), shape.ky[:n_knot].max()
@@ -581,33 +603,54 @@ def best_delay(plans, i, shape, n_knot, late_leg, delay_max, separation, margin,
             plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j],
             r, delay_max, events.pair_lo, events.pair_hi,
         )  # fmt: skip
-        weight = plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED
         for k in range(m):
             if events.pair_lo[k] < 0.0 and events.pair_hi[k] > delay_max:
-                always += weight
+                always += 0.5 * (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED)
                 if always >= limit:
                     return np.inf, 0.0
-            elif n_event < MAX_EVENTS:
-                events.lo[n_event], events.hi[n_event], events.weight[n_event] = events.pair_lo[k], events.pair_hi[k], weight
+            if n_event < MAX_EVENTS:
+                events.lo[n_event], events.hi[n_event], events.robot[n_event] = events.pair_lo[k], events.pair_hi[k], j
                 n_event += 1
-    least, best = np.inf, 0.0
-    for c in range(-1, n_event):
-        delay = 0.0 if c < 0 else events.hi[c]
+    least, best = limit, -1.0
+    for c in range(-3 if always > 0.0 else -1, n_event):
+        if c == -1:
+            delay = 0.0
+        elif c == -2:
+            delay = delay_max
+        elif c == -3:
+            delay = delay_max * rng.random()
+        else:
+            delay = events.hi[c]
         if delay > delay_max:
             continue
-        total = always
+        total = 0.0
         for k in range(n_event):
-            if events.lo[k] < delay - 1e-12 and delay + 1e-12 < events.hi[k]:
-                total += events.weight[k]
-                if total > least:
-                    break
-            elif c < 0 and events.lo[k] <= 0.0 < events.hi[k]:
-                total += events.weight[k]
+            if _is_forbidden(events, k, delay):
+                j = events.robot[k]
+                total += 0.5 * (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED)
+        if total >= least:
+            continue
+        if total > 0.0:
+            total = 0.0
+            for k in range(n_knot):
+                events.late_t[k] = shape.kt[k] + (delay if k > shape.leave[late_leg] else 0.0)
+            for k in range(n_event):
+                if _is_forbidden(events, k, delay):
+                    j = events.robot[k]
+                    r = pair_radius(plans, i, j, separation, margin)
+                    total += conflict_score(plans, i, j, events.late_t, shape.kx, shape.ky, n_knot, r)
         if total < least or (total == least and delay < best):
             least, best = total, delay
-    if least >= limit:
+    if best < 0.0:
         return np.inf, 0.0
     return least, best
+
+
+@njit(cache=True)
+def _is_forbidden(events, k, delay):
+    """Whether interval k holds the delay; at 0 an interval that starts there counts too."""
+    lo = events.lo[k]
+    return (lo < delay - 1e-12 or lo <= 0.0) and delay + 1e-12 < events.hi[k]
 
 
 @njit(cache=True)
@@ -731,9 +774,12 @@ def sample_shape(phys, plans, rng, i, duration, separation, shape):
 
 
 @njit(cache=True)
-def replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events):
-    """Plan robot i again: the direct shapes, then sampled detours, for the least weight of conflicts within `duration`."""
-    least, best_legs, best_knots, delay, late_best = np.inf, -1, 0, 0.0, 0
+def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, shape, best, events):
+    """Plan robot i again within `duration`, if the score of its conflicts falls below `least`; returns the score.
+
+    The direct shapes are tried, then sampled detours.
+    """
+    best_legs, best_knots, delay, late_best = -1, 0, 0.0, 0
     for option in range(3 + n_sample):
         late_leg = 0
         if option < 3:
@@ -743,7 +789,7 @@ def replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, b
         if n_knot == 0 or t > duration + SAME_DELAY_S:
             continue
         delay_max = max(0.0, duration - t)
-        score, d = best_delay(plans, i, shape, n_knot, late_leg, delay_max, separation, margin, least, events)
+        score, d = best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, margin, least, events)
         if score < least:
             least, best_legs, best_knots, delay, late_best = score, n_leg, n_knot, d, late_leg
             _copy_shape(shape, best, n_leg, n_knot)
@@ -751,9 +797,21 @@ def replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, b
                 break
         if n_leg == 0 and n_sample == 0:
             break
-    if best_legs >= 0:
-        set_plan(plans, i, best, best_legs, best_knots, late_best, delay, separation, margin)
+    if best_legs < 0:
+        return np.inf
+    set_plan(plans, i, best, best_legs, best_knots, late_best, delay, separation, margin)
     return least
+
+
+@njit(cache=True)
+def present_score(plans, i, separation, margin):
+    """Score of the conflicts of robot i as planned."""
+    total = 0.0
+    for j in range(len(plans.start)):
+        if plans.conflict[i, j]:
+            r = pair_radius(plans, i, j, separation, margin)
+            total += conflict_score(plans, i, j, plans.kt[i], plans.kx[i], plans.ky[i], plans.n_knot[i], r)
+    return total
 
 
 @njit(cache=True)
@@ -803,13 +861,14 @@ def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
     shape, best, events = new_shape(), new_shape(), new_events()
     for i in range(n):
         if plans.kt[i, plans.n_knot[i] - 1] > duration + SAME_DELAY_S:
-            replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events)
+            replan(phys, plans, rng, i, duration, n_sample, np.inf, separation, margin, shape, best, events)
     # Robots with most time to spare first: they have most delays to choose from.
     order = np.argsort(plans.alone)
     for _ in range(2):
         for i in order:
             if plans.n_conflict[i] > 0 and plans.is_free[i]:
-                replan(phys, plans, rng, i, duration, 0, separation, margin, shape, best, events)
+                limit = present_score(plans, i, separation, margin)
+                replan(phys, plans, rng, i, duration, 0, limit, separation, margin, shape, best, events)
     for step in range(n_step):
         i, n_seen = -1, 0
         for k in range(n):
@@ -819,16 +878,14 @@ def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
                     i = k
         if i < 0:
             return step
-        before = 0.0
-        for j in range(n):
-            if plans.conflict[i, j]:
-                before += plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED
-        after = replan(phys, plans, rng, i, duration, n_sample, separation, margin, shape, best, events)
-        if after >= before:
+        # Only downwards; the conflicts that survive at a low point weigh more from then on, until it is none.
+        limit = present_score(plans, i, separation, margin)
+        after = replan(phys, plans, rng, i, duration, n_sample, limit, separation, margin, shape, best, events)
+        if after >= limit:
             for j in range(n):
                 if plans.conflict[i, j]:
-                    plans.weight[i, j] += 1.0
-                    plans.weight[j, i] += 1.0
+                    plans.weight[i, j] += WEIGHT_GAIN
+                    plans.weight[j, i] += WEIGHT_GAIN
     return -1
 
 
