@@ -11,6 +11,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 import typer.core
 
+from survey_sim.cli_field import Quiet, add_field_commands
 from survey_sim.errors import InputError
 
 INTERRUPTED = 130
@@ -40,7 +41,6 @@ app = typer.Typer(
 catalogue_app = typer.Typer(no_args_is_help=True, help="Catalogues: what there is, whether it is sound, and mocks.")
 app.add_typer(catalogue_app, name="catalogue")
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run, such as runs/demo.", show_default=False)]
 
 
@@ -102,6 +102,9 @@ def check(run_dir: RunDir, quiet: Quiet = False) -> None:
     if lines:
         print("\n".join(lines), file=sys.stderr)
         raise typer.Exit(1)
+
+
+add_field_commands(app)
 
 
 @catalogue_app.command("list")
