@@ -4,8 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from survey_sim.allocation import AllocationSettings, FieldTargets, LostReason, start_allocation
-from survey_sim.allocation.session import CHOICES
+from survey_sim.allocation import ALGORITHMS, AllocationSettings, FieldTargets, LostReason, start_allocation
 from survey_sim.errors import InputError
 from survey_sim.instrument import load_instrument, make_plate
 
@@ -113,7 +112,7 @@ def test_a_dead_robot_blocks_what_is_near_it():
     assert session.lost_reasons().tolist() == [LostReason.BLOCKED_BY_DEAD, LostReason.NONE]
 
 
-@pytest.mark.parametrize("algorithm", CHOICES)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("n_target", [0, 1, 40])
 def test_degenerate_fields(algorithm, n_target):
     spot = FieldTargets.from_table(table(np.zeros(n_target), np.zeros(n_target)))
@@ -123,7 +122,7 @@ def test_degenerate_fields(algorithm, n_target):
         assert len(visits) == n_target
 
 
-@pytest.mark.parametrize("algorithm", CHOICES)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_every_robot_dead(algorithm):
     targets = FieldTargets.from_table(table([0.0, 30.0], [5.0, 0.0]))
     session, visits = run(targets, small_plate([(0.0, 0.0), (24.1, 0.0)], dead=[1, 2]), algorithm=algorithm)

@@ -54,6 +54,11 @@ class Field:
         """(n_pair,) target of each entry of `reach_robot`."""
         return np.repeat(np.arange(self.targets.n_target), np.diff(self.reach_first))
 
+    def sum_near(self, worth: FloatArray) -> FloatArray:
+        """(n_target,) sum of `worth` (n_target,) over the targets near each target."""
+        total = np.add.reduceat(np.append(worth[self.near], 0.0), self.near_first[:-1])
+        return np.where(np.diff(self.near_first) > 0, total, 0.0)
+
     def near_any(self, target: IntArray) -> BoolArray:
         """(n_target,) targets that are one of those given, or too close to one."""
         is_near = np.zeros(self.targets.n_target, dtype=bool)
@@ -68,6 +73,31 @@ class Field:
             return np.zeros(self.targets.n_target, dtype=bool)
         apart = self.xy_mm[:, None] - position_mm[None]
         return ((apart**2).sum(axis=2) < self.separation_mm**2).any(axis=1)
+
+
+@dataclass(frozen=True)
+class VisitRequest:
+    """What one visit starts from.
+
+    Attributes
+    ----------
+    visit_id
+        Counted from 0 in the session.
+    start_mm
+        (n_robot, 2) where the robots start, mm.
+    is_open
+        (n_target,) targets that may be held: on the plate, still wanted, not near a dead robot.
+    is_pair_open
+        (n_pair,) entries of `Field.reach_robot` that may be used: those that the router has not failed.
+    missing
+        (n_target,) visits that each science target still wants; 0 for the other kinds.
+    """
+
+    visit_id: int
+    start_mm: FloatArray
+    is_open: BoolArray
+    is_pair_open: BoolArray
+    missing: IntArray
 
 
 def make_field(targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> Field:

@@ -3,21 +3,21 @@
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from survey_sim.allocation.field import BoolArray, Field
+from survey_sim.allocation.field import Field, VisitRequest
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
 from survey_sim.instrument import Plate
 
 
-def choose_ideal(field: Field, start_mm: FloatArray, is_open: BoolArray, is_pair_open: BoolArray) -> IntArray:
+def choose_ideal(field: Field, request: VisitRequest) -> IntArray:
     """Every live science robot takes a new science target, the highest priorities first; nothing else is placed.
 
     Its ends may be nearer than the separation: a yardstick, not a configuration to route.
     """
     held = np.full(field.plate.n_robot, -1, dtype=np.int64)
     robots = np.flatnonzero(field.plate.is_live & ~field.plate.is_guide)
-    wanted = np.flatnonzero(is_open & field.targets.is_science)
+    wanted = np.flatnonzero(request.is_open & field.targets.is_science)
     best = wanted[np.argsort(-field.value[wanted], kind="stable")][: len(robots)]
-    apart = start_mm[robots, None] - field.xy_mm[None, best]
+    apart = request.start_mm[robots, None] - field.xy_mm[None, best]
     row, column = linear_sum_assignment((apart**2).sum(axis=2) ** (field.settings.travel_power / 2.0))
     held[robots[row]] = best[column]
     return held

@@ -27,20 +27,18 @@ ROUNDING = 1e-9
 
 
 @njit(cache=True)
-def pairs_by_robot(n_robot, reach_robot, is_pair_open, cost):
-    """Open pairs of each robot, cheapest first: (first (n_robot + 1,), pair (n_open,))."""
+def _pairs_by_robot(n_robot, reach_robot, cost):
+    """Pairs of each robot, cheapest first: (first (n_robot + 1,), pair (n_pair,))."""
     first = np.zeros(n_robot + 1, np.int64)
-    for p in range(len(reach_robot)):
-        if is_pair_open[p]:
-            first[reach_robot[p] + 1] += 1
+    for r in reach_robot:
+        first[r + 1] += 1
     for r in range(n_robot):
         first[r + 1] += first[r]
     filled = first[:-1].copy()
-    pair = np.empty(first[n_robot], np.int32)
+    pair = np.empty(len(reach_robot), np.int32)
     for p in range(len(reach_robot)):
-        if is_pair_open[p]:
-            pair[filled[reach_robot[p]]] = p
-            filled[reach_robot[p]] += 1
+        pair[filled[reach_robot[p]]] = p
+        filled[reach_robot[p]] += 1
     for r in range(n_robot):
         own = pair[first[r] : first[r + 1]]
         own[:] = own[np.argsort(cost[own])]
@@ -113,7 +111,7 @@ def _assign(robot, idle_cost, own_first, own_pair, pair_target, cost, u, v, pair
 
 
 @njit(cache=True)
-def _release(freed, reach_first, reach_robot, is_pair_open, pair_target, cost, u, v, pair, holder, group, ring, shut):
+def _release(freed, reach_first, reach_robot, pair_target, cost, u, v, pair, holder, group, ring, shut):
     """Bring the dual of a group that has lost its robot back to 0, moving robots into it where that is cheaper."""
     n_robot = len(u)
     label = np.full(n_robot, np.inf)
@@ -129,7 +127,7 @@ def _release(freed, reach_first, reach_robot, is_pair_open, pair_target, cost, u
             if not shut[t]:
                 for p in range(reach_first[t], reach_first[t + 1]):
                     r = reach_robot[p]
-                    if not is_pair_open[p] or pair[r] == FREE:
+                    if pair[r] == FREE:
                         continue
                     d = distance + cost[p] - u[r] - v[g]
                     if d < best and d < label[r] and not is_done[r]:
@@ -181,7 +179,7 @@ def _release(freed, reach_first, reach_robot, is_pair_open, pair_target, cost, u
 
 @njit(cache=True)
 def _shut_out(
-    t, idle_cost, own_first, own_pair, reach_first, reach_robot, is_pair_open, pair_target, cost, near_first, near, is_near,
+    t, idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost, near_first, near, is_near,
     u, v, pair, holder, group, ring, shut, label, by_pair,
 ):  # fmt: skip
     """Leave out one target, or (if `is_near`) all that are near it, and mend the assignment."""
@@ -202,7 +200,7 @@ def _shut_out(
             n += 1
     for k in range(n):
         _release(
-            freed_group[k], reach_first, reach_robot, is_pair_open, pair_target, cost, u, v, pair, holder, group, ring, shut
+            freed_group[k], reach_first, reach_robot, pair_target, cost, u, v, pair, holder, group, ring, shut
         )  # fmt: skip
     for k in range(n):
         _assign(
@@ -292,7 +290,7 @@ def _total(pair, cost, idle_cost):
 
 @njit(cache=True)
 def match_apart(
-    n_robot, idle_cost, reach_first, reach_robot, is_pair_open, pair_target, cost,
+    n_robot, idle_cost, reach_first, reach_robot, pair_target, cost,
     near_first, near, xy, separation, max_nodes,
 ):  # fmt: skip
     """Cheapest set of pairs in which no robot or target is used twice and no two targets are too close.
@@ -303,8 +301,8 @@ def match_apart(
         Number of robots; what a robot without a target costs.
     reach_first, reach_robot, pair_target
         Robots that reach each target, and the target of each pair (n_pair,).
-    is_pair_open, cost
-        (n_pair,) whether a pair may be used, and what it costs (>= 0).
+    cost
+        (n_pair,) what a pair costs (>= 0).
     near_first, near
         Lists of the targets too close to each target.
     xy, separation
@@ -322,7 +320,7 @@ def match_apart(
         Number of branchings.
     """
     n_target = len(xy)
-    own_first, own_pair = pairs_by_robot(n_robot, reach_robot, is_pair_open, cost)
+    own_first, own_pair = _pairs_by_robot(n_robot, reach_robot, cost)
     u, v = np.zeros(n_robot), np.zeros(n_target)
     pair = np.full(n_robot, FREE, np.int64)
     holder = np.full(n_target, -1, np.int64)
@@ -356,11 +354,11 @@ def match_apart(
             n_node += 1
             other = (u.copy(), v.copy(), pair.copy(), holder.copy(), group.copy(), ring.copy(), shut.copy())
             _shut_out(
-                t, idle_cost, own_first, own_pair, reach_first, reach_robot, is_pair_open, pair_target, cost,
+                t, idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost,
                 near_first, near, False, u, v, pair, holder, group, ring, shut, label, by_pair,
             )  # fmt: skip
             _shut_out(
-                t, idle_cost, own_first, own_pair, reach_first, reach_robot, is_pair_open, pair_target, cost,
+                t, idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost,
                 near_first, near, True, other[0], other[1], other[2], other[3], other[4], other[5], other[6], label, by_pair,
             )  # fmt: skip
             here, there = _total(pair, cost, idle_cost), _total(other[2], cost, idle_cost)
@@ -372,3 +370,82 @@ def match_apart(
                 waiting.append(other)
                 waiting_bound.append(there)
     return best_pair, min(best, open_bound), n_node
+
+
+@njit(cache=True)
+def _open_part(is_open, is_pair_open, reach_first, reach_robot, near_first, near):
+    """The open targets with their usable pairs and open neighbours, numbered among themselves.
+
+    Returns
+    -------
+        (full (n_open,) their indices, reach_first, reach_robot, pair_target, near_first, near).
+    """
+    full = np.flatnonzero(is_open)
+    number = np.full(len(is_open), -1, np.int64)
+    number[full] = np.arange(len(full))
+    own_first, own_near_first = np.zeros(len(full) + 1, np.int64), np.zeros(len(full) + 1, np.int64)
+    n_pair = n_near = 0
+    for t in full:
+        n_pair += reach_first[t + 1] - reach_first[t]
+        n_near += near_first[t + 1] - near_first[t]
+    robot, target = np.empty(n_pair, np.int32), np.empty(n_pair, np.int32)
+    own_near = np.empty(n_near, np.int32)
+    n_pair = n_near = 0
+    for i, t in enumerate(full):
+        for p in range(reach_first[t], reach_first[t + 1]):
+            if is_pair_open[p]:
+                robot[n_pair], target[n_pair] = reach_robot[p], i
+                n_pair += 1
+        for k in range(near_first[t], near_first[t + 1]):
+            if number[near[k]] >= 0:
+                own_near[n_near] = number[near[k]]
+                n_near += 1
+        own_first[i + 1], own_near_first[i + 1] = n_pair, n_near
+    return full, own_first, robot[:n_pair].copy(), target[:n_pair].copy(), own_near_first, own_near[:n_near].copy()
+
+
+@njit(cache=True)
+def match_open(
+    is_open, is_pair_open, start_xy, xy, value, value_step, half_power,
+    reach_first, reach_robot, near_first, near, separation, max_nodes,
+):  # fmt: skip
+    """Targets held in one visit: most value, then least sum of travel^P.
+
+    Parameters
+    ----------
+    is_open, is_pair_open
+        (n_target,) and (n_pair,) what may be used.
+    start_xy, xy
+        (n_robot, 2) and (n_target, 2) mm.
+    value, value_step
+        (n_target,) worth; what a unit of it costs beside the travel of one robot, whose most is 1.
+    half_power
+        P / 2.
+    reach_first, reach_robot, near_first, near, separation, max_nodes
+        As in `match_apart`.
+
+    Returns
+    -------
+        (n_robot,) target of each robot or -1.
+    """
+    n_robot = len(start_xy)
+    full, first, robot, target, own_near_first, own_near = _open_part(
+        is_open, is_pair_open, reach_first, reach_robot, near_first, near
+    )
+    cost = np.empty(len(robot))
+    farthest, greatest = 1e-12, 0.0
+    for p in range(len(robot)):
+        t = full[target[p]]
+        cost[p] = (xy[t, 0] - start_xy[robot[p], 0]) ** 2 + (xy[t, 1] - start_xy[robot[p], 1]) ** 2
+        farthest = max(farthest, cost[p])
+        greatest = max(greatest, value[t])
+    for p in range(len(robot)):
+        cost[p] = (cost[p] / farthest) ** half_power + (greatest - value[full[target[p]]]) * value_step
+    pair, _, _ = match_apart(
+        n_robot, greatest * value_step, first, robot, target, cost, own_near_first, own_near, xy[full], separation, max_nodes
+    )
+    held = np.full(n_robot, -1, np.int64)
+    for r in range(n_robot):
+        if pair[r] >= 0:
+            held[r] = full[target[pair[r]]]
+    return held

@@ -8,23 +8,25 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.allocation.closest import choose_advanced, choose_basic
-from survey_sim.allocation.field import BoolArray, Field, make_field
+from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle
-from survey_sim.allocation.matching import choose_matching
+from survey_sim.allocation.matching import choose_matching, sky_by_region
+from survey_sim.allocation.planning import Planner
 from survey_sim.allocation.settings import AllocationSettings, LostReason
-from survey_sim.allocation.targets import SKY, FieldTargets, FloatArray, IntArray
+from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
 from survey_sim.instrument import Plate
 from survey_sim.schema import TARGET_KINDS
 
 Start = Literal["previous", "park"]
-Choice = Callable[[Field, FloatArray, BoolArray, BoolArray], IntArray]
+Choice = Callable[[Field, VisitRequest], IntArray]
 
-CHOICES: dict[str, tuple[Choice, Start]] = {
-    "ideal": (choose_ideal, "previous"),
-    "cda-basic": (choose_basic, "park"),
-    "cda-advanced": (choose_advanced, "previous"),
-    "matching": (choose_matching, "previous"),
+# How each algorithm that looks at one visit alone chooses; `plan` keeps a `Planner`.
+CHOICES: dict[str, Choice] = {
+    "ideal": choose_ideal,
+    "cda-basic": choose_basic,
+    "cda-advanced": choose_advanced,
+    "matching": choose_matching,
 }
 
 
@@ -76,9 +78,9 @@ class Session:
 
     def __init__(self, field: Field, rng: np.random.Generator, n_done: npt.ArrayLike | None) -> None:
         self.field = field
-        self.rng = rng
         n_target = field.targets.n_target
         self.n_done = np.zeros(n_target, dtype=np.int64) if n_done is None else np.array(n_done, dtype=np.int64)
+        self._choose = CHOICES.get(field.settings.algorithm) or Planner(field, rng)
         self._n_visit = 0
         self._awaits_record = False
         self._is_pair_open = np.ones(len(field.reach_robot), dtype=bool)
@@ -121,11 +123,13 @@ class Session:
         is_last = self.has_wanted_completeness() if settings.visits is None else self._n_visit >= settings.visits
         if is_last or self._n_visit >= settings.max_visits:
             return None
-        choose, start = CHOICES[settings.algorithm]
+        start: Start = "park" if settings.algorithm == "cda-basic" else "previous"
         start_mm = np.where(plate.is_live[:, None], plate.park_mm, position_mm) if start == "park" else position_mm
         start_mm = np.ascontiguousarray(start_mm, dtype=np.float64)
-        is_open = self._is_wanted() & ~self.field.blocked_by(start_mm[~plate.is_live])
-        held = choose(self.field, start_mm, is_open, self._is_pair_open)
+        missing = self._missing()
+        is_open = self.field.is_on_plate & ((missing > 0) | ~self.field.targets.is_science)
+        is_open &= ~self.field.blocked_by(start_mm[~plate.is_live])
+        held = self._choose(self.field, VisitRequest(self._n_visit, start_mm, is_open, self._is_pair_open, missing))
         goal = start_mm.copy() if settings.algorithm == "ideal" else self._goals(held, start_mm)
         goal[held >= 0] = self.field.xy_mm[held[held >= 0]]
         visit = _make_visit(self.field, self._n_visit, held, start=start, start_mm=start_mm, goal_mm=goal)
@@ -147,7 +151,7 @@ class Session:
         reached = visit.target[has_target & is_arrived]
         missed = visit.target[has_target & ~is_arrived]
         note_lost(
-            visit.target, self._is_wanted() & targets.is_science, targets.is_science, targets.priority,
+            visit.target, self._missing() > 0, targets.is_science, targets.priority,
             self.field.near_first, self.field.near, self.field.reach_first, self.field.reach_robot,
             self._n_clear, self._lowest,
         )  # fmt: skip
@@ -177,9 +181,10 @@ class Session:
         reason[~field.targets.is_science | self.is_complete] = LostReason.NONE
         return reason
 
-    def _is_wanted(self) -> BoolArray:
+    def _missing(self) -> IntArray:
+        """(n_target,) visits that each science target on the plate still wants."""
         targets = self.field.targets
-        return self.field.is_on_plate & (~targets.is_science | (self.n_done < targets.wanted_visits))
+        return np.where(targets.is_science & self.field.is_on_plate, np.maximum(targets.wanted_visits - self.n_done, 0), 0)
 
     def _goals(self, held: IntArray, start_mm: FloatArray) -> FloatArray:
         """Ends of all robots; where an idle one finds no room, the nearest science target is given up (in `held`)."""
@@ -224,8 +229,6 @@ def _make_visit(
     number = np.bincount(field.targets.kind[target], minlength=len(TARGET_KINDS))
     counts = {kind: int(number[code]) for code, kind in enumerate(TARGET_KINDS)}
     least = {"science": 0, "standard": settings.min_standard, "sky": settings.min_sky, "guide": settings.min_guide}
-    is_sky = field.targets.kind[target] == SKY
-    in_region = np.bincount(field.sector[target[is_sky]], minlength=settings.sky_regions)
     return VisitAllocation(
         visit_id=visit_id,
         target=held,
@@ -234,7 +237,7 @@ def _make_visit(
         travel_mm=np.hypot(*(goal_mm - start_mm).T),
         counts=counts,
         shortfall={kind: max(0, least[kind] - n) for kind, n in counts.items()},
-        sky_region_shortfall=int(np.maximum(0, settings.min_sky_region - in_region).sum()),
+        sky_region_shortfall=int(np.maximum(0, settings.min_sky_region - sky_by_region(field, held)).sum()),
         crossings=int(crossings(start_mm, goal_mm)),
     )
 

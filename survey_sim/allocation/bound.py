@@ -1,1 +1,0 @@
-"""Upper bounds of completeness: what no allocator can beat."""

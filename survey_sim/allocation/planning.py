@@ -1,0 +1,239 @@
+"""All visits of a tile planned together: what goes into which visit, and in which order the robots get there."""
+
+import numpy as np
+
+from survey_sim.allocation.field import BoolArray, Field, VisitRequest
+from survey_sim.allocation.matching import NEEDED_VALUE, fill_calibration, lacks_calibration, match, pick_calibration
+from survey_sim.allocation.plan_kernels import cover, make_items, sample_within, shorten
+from survey_sim.allocation.targets import GUIDE, SKY, STANDARD, IntArray
+
+# Whole-number worth of a target of value 1, for the search.
+VALUE_UNIT = 1000
+# Moves without improvement that end the search for more targets; chosen on 1,431 clustered targets, as all below.
+N_STEP = 500
+# Rounds of shortening: robots matched anew from visit to visit, then sweeps of exchanges from hot to cold.
+N_ROUND = 2
+N_SWEEP = 12
+HOT_MM, COLD_MM = 25.0, 5.0
+EXCHANGE_RADIUS_MM = 25.0
+N_EXCHANGE = 20
+# Rounds that give up the targets least begun of those that cannot get all their visits.
+N_GIVE_UP = 4
+
+
+class Planner:
+    """The plan of one tile, kept up with what is really observed.
+
+    The first request plans all visits; each request matches robots to the visit's targets from where the robots really
+    stand. When something planned was not observed, the visits that remain are planned again, beginning from the old plan.
+    """
+
+    def __init__(self, field: Field, rng: np.random.Generator) -> None:
+        self.field = field
+        self._state = rng.integers(1, 2**63, size=1, dtype=np.uint64)
+        self._is_planned = np.zeros((field.targets.n_target, 0), dtype=bool)
+        self._unplanned = np.full(field.targets.n_target, -1, dtype=np.int64)
+
+    def __call__(self, field: Field, request: VisitRequest) -> IntArray:
+        """(n_robot,) target of each robot or -1, of the next planned visit."""
+        if not self._is_kept(request):
+            self._plan(request)
+        if not self._is_planned.shape[1]:
+            return np.full(field.plate.n_robot, -1, dtype=np.int64)
+        now, self._is_planned = self._is_planned[:, 0], self._is_planned[:, 1:]
+        is_guide = field.targets.kind == GUIDE
+        has_guides = (now & is_guide).sum() >= min(field.settings.min_guide, field.settings.wanted_guide)
+        is_planned = request.is_open & (now | (is_guide & (not has_guides)))
+        value = np.where(is_guide, NEEDED_VALUE, field.value)
+        held = fill_calibration(field, request, match(field, request.start_mm, is_planned, request.is_pair_open, value))
+        if not lacks_calibration(field, held):
+            return held
+        is_needed, _ = pick_calibration(field, is_planned | (request.is_open & ~field.targets.is_science & ~is_guide))
+        value[is_needed] = NEEDED_VALUE
+        held = match(field, request.start_mm, is_planned | (is_needed & ~is_guide), request.is_pair_open, value)
+        return fill_calibration(field, request, held)
+
+    def _is_kept(self, request: VisitRequest) -> bool:
+        is_science = self.field.targets.is_science
+        return np.array_equal(
+            self._is_planned[is_science].sum(axis=1) + self._unplanned[is_science], request.missing[is_science]
+        )
+
+    def _plan(self, request: VisitRequest) -> None:
+        """Plan the visits from this one on."""
+        field, settings = self.field, self.field.settings
+        limit = settings.max_visits if settings.visits is None else min(settings.visits, settings.max_visits)
+        limit -= request.visit_id
+        search = _Search(field, request, self._state)
+        old = self._is_planned[:, :limit]
+        least = min(limit, max(search.least_visits(), old.shape[1]))
+        n_visit = least if settings.visits is None else limit
+        visit_of = search.visits_of(old)
+        visit_of, guides = search.fill(n_visit, visit_of)
+        while settings.visits is None and n_visit < limit:
+            lack = search.lack(visit_of)
+            if lack <= 0:
+                break
+            more = min(limit - n_visit, max(1, -(-lack // max(1, search.capacity))))
+            wider, wider_guides = search.fill(n_visit + more, visit_of)
+            if (wider >= 0).sum() - (visit_of >= 0).sum() < settings.min_gain:
+                break
+            n_visit, visit_of, guides = n_visit + more, wider, wider_guides
+        visit_of = search.shorten(n_visit, visit_of, guides)
+        self._is_planned = np.zeros((field.targets.n_target, n_visit), dtype=bool)
+        is_placed = visit_of >= 0
+        self._is_planned[search.item_target[is_placed], visit_of[is_placed]] = True
+        self._unplanned = request.missing - self._is_planned.sum(axis=1)
+        for visit, chosen in enumerate(guides):
+            self._is_planned[chosen, visit] = True
+
+
+class _Search:
+    """The items of one plan and the searches over them."""
+
+    def __init__(self, field: Field, request: VisitRequest, state: np.ndarray) -> None:
+        self.field, self.request, self.state = field, request, state
+        targets, settings = field.targets, field.settings
+        is_served = request.is_open & (np.diff(field.reach_first) > 0)
+        copies = np.where(is_served & targets.is_science, request.missing, 0)
+        self.item_target, self.near_first, self.near = make_items(copies, field.near_first, field.near)
+        self.copies = copies
+        self.value = np.round(field.value[self.item_target] * VALUE_UNIT).astype(np.int64)
+        n_standard, n_sky = ((is_served & (targets.kind == code)).sum() for code in (STANDARD, SKY))
+        n_reserved = min(settings.wanted_standard, n_standard) + min(settings.wanted_sky, n_sky)
+        self.capacity = max(0, field.plate.n_science_live - int(n_reserved))
+
+    def least_visits(self) -> int:
+        """Fewest visits that could do."""
+        n = self._needed().sum()
+        return max(1, int(-(-n // max(1, self.capacity)))) if n else 0
+
+    def visits_of(self, is_planned: BoolArray) -> IntArray:
+        """(n_item,) visit of each item in an older plan, or -1."""
+        visit_of = np.full(len(self.item_target), -1, dtype=np.int64)
+        begin = np.concatenate([[0], np.cumsum(self.copies)])
+        for target in np.flatnonzero(is_planned.any(axis=1) & (self.copies > 0)):
+            visits = np.flatnonzero(is_planned[target])[: self.copies[target]]
+            visit_of[begin[target] : begin[target] + len(visits)] = visits
+        return visit_of
+
+    def lack(self, visit_of: IntArray) -> int:
+        """Science targets that the programmes want complete and the plan does not, of those that can be served."""
+        return int(np.minimum(self._needed() - self._n_complete(visit_of), self._n_waiting(visit_of)).clip(0).sum())
+
+    def fill(self, n_visit: int, visit_of: IntArray) -> tuple[IntArray, list[IntArray]]:
+        """Most value in so many visits; targets that cannot get all their visits are given up, the least begun first."""
+        guides = self._pick_guides(n_visit)
+        is_shut = self._shut(guides)
+        is_dropped = (self.copies > n_visit)[self.item_target]
+        for _ in range(N_GIVE_UP):
+            visit_of = self._cover(n_visit, np.where(is_dropped, -1, visit_of), is_dropped, is_shut)
+            placed = np.bincount(self.item_target[visit_of >= 0], minlength=len(self.copies))
+            is_partial = (placed > 0) & (placed < self.copies)
+            if not is_partial.any():
+                break
+            share = placed[is_partial] / self.copies[is_partial]
+            is_partial[is_partial] = share <= np.median(share)
+            is_dropped |= is_partial[self.item_target]
+        if is_dropped.any():
+            visit_of = self._cover(n_visit, visit_of, is_dropped & False, is_shut, np.where(is_dropped, 1, self.value))
+        return visit_of, guides
+
+    def shorten(self, n_visit: int, visit_of: IntArray, guides: list[IntArray]) -> IntArray:
+        """The same plan, or one of the same value, with shorter ways from visit to visit."""
+        field, settings = self.field, self.field.settings
+        xy = np.ascontiguousarray(field.xy_mm[self.item_target])
+        power = settings.travel_power
+        rank = (field.targets.priority[self.item_target] - 1.0) / 8.0
+        is_shut = self._shut(guides)
+        visit_of = visit_of.copy()
+        for _ in range(N_ROUND if n_visit else 0):
+            slot, robot_of = self._match_all(n_visit, visit_of)
+            shorten(
+                max(1, round(N_SWEEP * settings.effort)), HOT_MM**power, COLD_MM**power, power / 2.0,
+                self.request.start_mm, xy, field.separation_mm, self.value, settings.delay_worth_mm**power * rank,
+                self.near_first, self.near, self.item_target, field.reach_first, field.reach_robot,
+                self.request.is_pair_open, is_shut, np.full(n_visit, self.capacity),
+                sample_within(xy, EXCHANGE_RADIUS_MM, N_EXCHANGE, self.state), slot, visit_of, robot_of, self.state,
+            )  # fmt: skip
+        return visit_of
+
+    def _cover(
+        self, n_visit: int, visit_of: IntArray, is_dropped: BoolArray, is_shut: BoolArray, value: IntArray | None = None
+    ) -> IntArray:
+        field = self.field
+        value = np.where(is_dropped, 0, self.value if value is None else value)
+        visit_of = visit_of.copy()
+        capacity = np.full(n_visit, self.capacity)
+        most = np.sort(value)[::-1][: n_visit * self.capacity].sum()
+        cover(
+            round(N_STEP * field.settings.effort), most, value, self.near_first, self.near, self.item_target,
+            field.reach_first, field.reach_robot, self.request.is_pair_open, is_shut, capacity, visit_of,
+            field.plate.n_robot, self.state,
+        )  # fmt: skip
+        return visit_of
+
+    def _match_all(self, n_visit: int, visit_of: IntArray) -> tuple[IntArray, IntArray]:
+        """Robots matched to each visit from where the one before left them: slot (n_visit, n_robot), robot_of (n_item,)."""
+        field = self.field
+        slot = np.full((n_visit, field.plate.n_robot), -1, dtype=np.int64)
+        robot_of = np.full(len(visit_of), -1, dtype=np.int64)
+        item_of = np.full(field.targets.n_target, -1, dtype=np.int64)
+        position = self.request.start_mm.copy()
+        for visit in range(n_visit):
+            items = np.flatnonzero(visit_of == visit)
+            is_open = np.zeros(field.targets.n_target, dtype=bool)
+            is_open[self.item_target[items]] = True
+            item_of[self.item_target[items]] = items
+            held = match(field, position, is_open, self.request.is_pair_open, field.value)
+            robots = np.flatnonzero(held >= 0)
+            slot[visit, robots] = item_of[held[robots]]
+            robot_of[slot[visit, robots]] = robots
+            position[robots] = field.xy_mm[held[robots]]
+        visit_of[robot_of < 0] = -1
+        return slot, robot_of
+
+    def _pick_guides(self, n_visit: int) -> list[IntArray]:
+        """Guide stars of each visit: those that stand in the way of the least science, not always the same."""
+        field = self.field
+        is_guide = self.request.is_open & (field.targets.kind == GUIDE)
+        if not is_guide.any():
+            return [np.empty(0, dtype=np.int64)] * n_visit
+        blocked = np.where(self.copies > 0, field.value, 0.0)
+        guides = []
+        for _ in range(n_visit):
+            displaced = field.sum_near(blocked)
+            value = NEEDED_VALUE - displaced / (1.0 + displaced.max(initial=0.0))
+            held = match(field, self.request.start_mm, is_guide, self.request.is_pair_open, value)
+            chosen = held[held >= 0]
+            guides.append(chosen)
+            blocked = blocked * (1.0 + field.near_any(chosen))
+        return guides
+
+    def _shut(self, guides: list[IntArray]) -> BoolArray:
+        """(n_target, n_visit) targets that a visit's guides leave no room for."""
+        is_shut = np.zeros((self.field.targets.n_target, len(guides)), dtype=bool)
+        for visit, chosen in enumerate(guides):
+            is_shut[:, visit] = self.field.near_any(chosen)
+        return is_shut
+
+    def _programme_counts(self, is_counted: BoolArray) -> IntArray:
+        targets = self.field.targets
+        is_counted = is_counted & targets.is_science & self.field.is_on_plate & (targets.programme >= 0)
+        return np.bincount(targets.programme[is_counted], minlength=len(targets.programmes))
+
+    def _needed(self) -> IntArray:
+        """(n_programme,) science targets still to be completed for the completeness wanted."""
+        n = self._programme_counts(np.ones(self.field.targets.n_target, dtype=bool))
+        is_complete = self.request.missing == 0
+        return (
+            np.ceil(self.field.targets.wanted_frac * n - 1e-9).astype(np.int64) - self._programme_counts(is_complete)
+        ).clip(0)
+
+    def _n_complete(self, visit_of: IntArray) -> IntArray:
+        placed = np.bincount(self.item_target[visit_of >= 0], minlength=len(self.copies))
+        return self._programme_counts((self.copies > 0) & (placed == self.copies))
+
+    def _n_waiting(self, visit_of: IntArray) -> IntArray:
+        placed = np.bincount(self.item_target[visit_of >= 0], minlength=len(self.copies))
+        return self._programme_counts(placed < self.copies)
