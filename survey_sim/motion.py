@@ -5,7 +5,6 @@ y axis, at the coarse speed; the last `precise_mm` of the travel go at the preci
 of its four axes on the line, so at most 45 deg of turning, Goodwin et al. 2014 section 1.3) or without turning, x then y.
 """
 
-# ruff: noqa: PLR0917 - flat arrays, so many arguments
 from dataclasses import dataclass, fields, replace
 
 import numpy as np

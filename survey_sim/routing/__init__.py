@@ -4,7 +4,6 @@
 keep the separation at every instant, by closed form; what a method cannot route stays where it starts, with a reason.
 """
 
-# ruff: noqa: PLR0917 - flat arrays, so many arguments
 from collections.abc import Callable
 
 import numpy as np

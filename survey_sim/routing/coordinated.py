@@ -1,17 +1,97 @@
-"""Coordinated routing at the lower bound."""
+"""Coordinated routing: all robots planned together, at the lower bound wherever that can be.
+
+Everybody starts by the quicker direct plan, at once. Pairs that come too near are conflicts, and robots in conflict are
+planned again one at a time: the delays of their direct plans first (the forbidden ones are intervals, in closed form),
+then sampled detours of one or two way points with waits; idle robots step aside and come back. A plan is taken if it
+lowers the score of its robot's conflicts: each weighs more the nearer the pair comes, and more with each low point that it
+survives, so that two robots can share an evasion and none is stuck. What fails at the bound is tried at longer durations
+until one holds, and then shortened from there by halves.
+
+Complete in practice, not in theory. A robot that fixed robots part from its goal is `unreachable`, and that is proved
+(`kernels.is_parted`); one that the search gives up is `no-path`; one whose goal such a robot stands on is `deadlock`.
+"""
 
 import numpy as np
+import numpy.typing as npt
 
-from survey_sim.motion import Legs, make_legs
+from survey_sim.motion import FloatArray, Legs, make_legs
 from survey_sim.routing import kernels
 from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 
-import os
+# Detours tried at each step of repair.
+N_SAMPLE = 12
+# Steps at one duration before another is tried.
+N_QUICK = 300
 
-QUICK = int(os.environ.get("QUICK", "200"))
+
+def route_coordinated(
+    problem: Problem, settings: RoutingSettings, rng: np.random.Generator
+) -> tuple[Legs, npt.NDArray[np.int8]]:
+    """Legs and (n_robot,) reasons; with the margin if that routes everybody who can be."""
+    legs, reason = _plan(problem, settings, settings.margin_mm, rng)
+    has_failed = np.isin(reason, (UnroutedReason.NO_PATH, UnroutedReason.DEADLOCK)).any()
+    if settings.margin_mm > 0 and has_failed:
+        legs, reason = _plan(problem, settings, 0.0, rng)
+    return legs, reason
+
+
+def _plan(
+    problem: Problem, settings: RoutingSettings, margin: float, rng: np.random.Generator
+) -> tuple[Legs, npt.NDArray[np.int8]]:
+    phys, separation = physics(problem), problem.separation_mm
+    reason = find_unreachable(problem)
+    is_fixed = ~problem.plate.is_live | (reason != UnroutedReason.ARRIVED)
+    plans = _new_plans(problem, is_fixed)
+    kernels.start_directly(phys, plans, separation, margin)
+    if plans.n_conflict.any():
+        bound, steps = float(plans.alone.max()), settings.n_repair
+        # Idle robots among others that stand too near have nothing to wait for.
+        bound = max(bound, 1.0)
+        kept = _new_plans(problem, is_fixed)
+        while not kernels.coordinate(phys, plans, kept, rng, bound, N_QUICK, steps, N_SAMPLE, separation, margin):
+            robot = kernels.ground_worst(plans, separation, margin)
+            reason[robot] = UnroutedReason.NO_PATH
+            for other in _cascade(problem, plans):
+                kernels.ground(plans, other, kernels.new_shape(kernels.MAX_LEGS), separation, margin)
+                reason[other] = UnroutedReason.DEADLOCK
+    return _legs_of(problem, plans), reason
+
+
+def find_unreachable(problem: Problem) -> npt.NDArray[np.int8]:
+    """(n_robot,) reasons of the robots that cannot arrive whatever is tried: parted from the goal, or the goal is taken.
+
+    Dead robots stay; robots that cannot arrive stay too, so it is repeated until nobody joins them.
+    """
+    plate = problem.plate
+    reason = np.zeros(problem.n_robot, dtype=np.int8)
+    is_fixed = ~plate.is_live
+    while is_fixed.any():
+        fixed = problem.start_mm[is_fixed]
+        found = []
+        for i in np.flatnonzero(problem.has_to_move & ~is_fixed):
+            near = np.hypot(*(fixed - plate.park_mm[i]).T) < plate.patrol_radius_mm[i] + problem.separation_mm
+            if (np.hypot(*(fixed[near] - problem.goal_mm[i]).T) < problem.separation_mm).any():
+                found.append((i, UnroutedReason.DEADLOCK))
+            elif kernels.is_parted(
+                *problem.start_mm[i],
+                *problem.goal_mm[i],
+                fixed[near],
+                problem.separation_mm,
+                *plate.park_mm[i],
+                plate.patrol_radius_mm[i],
+                plate.instrument.plate_radius_mm,
+            ):
+                found.append((i, UnroutedReason.UNREACHABLE))
+        if not found:
+            break
+        for robot, why in found:
+            reason[robot] = why
+            is_fixed[robot] = True
+    return reason
 
 
 def physics(problem: Problem) -> kernels.Physics:
+    """The instrument's constants for kernels."""
     instrument = problem.plate.instrument
     return kernels.Physics(
         instrument.coarse_speed_mm_s,
@@ -22,52 +102,45 @@ def physics(problem: Problem) -> kernels.Physics:
     )
 
 
-def route_coordinated(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> tuple[Legs, np.ndarray]:
-    """Legs and (n_robot,) reasons."""
-    plate = problem.plate
-    phys = physics(problem)
-    plans = kernels.new_plans(
+def _new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_]) -> kernels.Plans:
+    """Plans in which nobody moves yet; goals of fixed robots are their starts."""
+    goal: FloatArray = np.where(is_fixed[:, None], problem.start_mm, problem.goal_mm)
+    return kernels.new_plans(
         problem.start_mm,
         problem.start_theta_deg,
-        problem.goal_mm,
-        plate.park_mm,
-        plate.patrol_radius_mm,
-        plate.is_live,
-        problem.alone_s,
+        goal,
+        problem.plate.park_mm,
+        problem.plate.patrol_radius_mm,
+        ~is_fixed,
+        np.where(is_fixed, 0.0, problem.alone_s),
+        kernels.MAX_LEGS,
     )
-    kernels.start_directly(phys, plans, problem.separation_mm, settings.margin_mm)
-    bound = problem.alone_s.max(initial=0.0)
-    if plans.n_conflict.any():
-        kept = kernels.new_plans(
-            problem.start_mm,
-            problem.start_theta_deg,
-            problem.goal_mm,
-            plate.park_mm,
-            plate.patrol_radius_mm,
-            plate.is_live,
-            problem.alone_s,
-        )
-        kernels.coordinate(
-            phys, plans, kept, rng, bound, QUICK, settings.n_repair, 12, problem.separation_mm, settings.margin_mm
-        )
-    reason = np.zeros(problem.n_robot, dtype=np.int8)
-    reason[plans.n_conflict > 0] = UnroutedReason.NO_PATH
-    return legs_of(problem, plans), reason
 
 
-def legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
-    """Legs of plans."""
+def _cascade(problem: Problem, plans: kernels.Plans) -> list[int]:
+    """Robots whose goals are nearer than the separation to one that stays, and to those that stay for that."""
+    stays = ~plans.is_free
+    found: list[int] = []
+    while True:
+        gap = np.hypot(*(plans.goal[plans.is_free][:, None] - plans.start[stays][None]).transpose(2, 0, 1))
+        joins = np.flatnonzero(plans.is_free)[(gap < problem.separation_mm).any(axis=1)]
+        joins = joins[~stays[joins]]
+        if len(joins) == 0:
+            return found
+        found.extend(joins.tolist())
+        stays[joins] = True
+
+
+def _legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
     n_leg = plans.n_leg
     robot = np.repeat(np.arange(problem.n_robot), n_leg)
     leg = np.arange(len(robot)) - np.repeat(np.cumsum(n_leg) - n_leg, n_leg)
-    way = np.column_stack([plans.x[robot, leg], plans.y[robot, leg]])
-    start_s = kernels.leg_starts(physics(problem), plans)[robot, leg]
     return make_legs(
         problem.plate.instrument,
         problem.start_mm,
         problem.start_theta_deg,
         robot.astype(np.int32),
-        start_s,
-        way,
+        kernels.leg_starts(physics(problem), plans)[robot, leg],
+        np.column_stack([plans.x[robot, leg], plans.y[robot, leg]]),
         plans.turned[robot, leg],
     )

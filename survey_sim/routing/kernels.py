@@ -3,7 +3,7 @@ another file.
 """
 
 # Kernels take flat arrays and untyped scalars, and are long where splitting them would cost calls.
-# ruff: noqa: PLR0912, PLR0917, PLW3301
+# ruff: noqa: PLR0912, PLW3301
 # mypy: disable-error-code="no-untyped-def"
 from typing import NamedTuple
 
@@ -88,12 +88,84 @@ def simple_vector_batches(start, goal, has_to_move, separation):
         k += 1
 
 
+@njit(cache=True)
+def has_near(position, least):
+    """(n,) whether another robot is nearer than `least`."""
+    n = len(position)
+    near = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        for j in range(i):
+            ex, ey = position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]
+            if ex * ex + ey * ey < least * least:
+                near[i] = near[j] = True
+    return near
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Proof that a goal cannot be reached. What a robot may not enter is a union of open discs (fixed robots) and of the outside
+# of its patrol disc and of the plate. Start and goal are parted if and only if some closed curve in that union winds around
+# just one of them; overlapping parts generate all such curves, and a curve counts by the parity of its crossings of the
+# segment from start to goal.
+
+
+@njit(cache=True)
+def _crosses(ax, ay, bx, by, cx, cy, dx, dy):
+    """Whether segments a-b and c-d cross; an end on the other's line counts on one side only."""
+    side_c = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) >= 0.0
+    side_d = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax) >= 0.0
+    side_a = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx) >= 0.0
+    side_b = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx) >= 0.0
+    return side_c != side_d and side_a != side_b
+
+
+@njit(cache=True)
+def _root(parent, parity, k):
+    """Representative of k, and the parity of the way to it."""
+    odd = False
+    while parent[k] != k:
+        odd ^= parity[k]
+        k = parent[k]
+    return k, odd
+
+
+@njit(cache=True)
+def is_parted(sx, sy, gx, gy, fixed, r, park_x, park_y, reach, plate_radius):
+    """Whether fixed robots and the edge of the reach part (sx, sy) from (gx, gy), for any motion at all."""
+    n = len(fixed)
+    parent = np.arange(n + 1)
+    parity = np.zeros(n + 1, dtype=np.bool_)
+    for i in range(n):
+        x, y = fixed[i, 0], fixed[i, 1]
+        for j in range(i + 2):
+            # To a fixed robot before it, or (last two) to the outside: of the patrol disc, of the plate.
+            if j < i:
+                end_x, end_y, other = fixed[j, 0], fixed[j, 1], j
+                if (end_x - x) ** 2 + (end_y - y) ** 2 >= 4.0 * r * r:
+                    continue
+            else:
+                ox, oy, edge = (x - park_x, y - park_y, reach) if j == i else (x, y, plate_radius)
+                out = np.hypot(ox, oy)
+                if out + r <= edge or out == 0.0:
+                    continue
+                end_x, end_y, other = x + ox / out * r, y + oy / out * r, n
+            odd = _crosses(sx, sy, gx, gy, x, y, end_x, end_y)
+            a, odd_a = _root(parent, parity, i)
+            b, odd_b = _root(parent, parity, other)
+            if a != b:
+                parent[a] = b
+                parity[a] = odd ^ odd_a ^ odd_b
+            elif odd ^ odd_a ^ odd_b:
+                return True
+    return False
+
+
 # ---------------------------------------------------------------------------------------------------------------------
 # Shapes: where a robot is, straight between knots, with time counted from the start of its first leg. It stands at its
 # first knot before it and at its last knot after it.
 
+# Legs of a coordinated plan, and of one found step by step on a lattice.
 MAX_LEGS = 6
-MAX_KNOTS = 5 * MAX_LEGS + 1
+MAX_LATTICE_LEGS = 60
 # Delays nearer than this are one: a gap this narrow between forbidden intervals is rounding, not room.
 SAME_DELAY_S = 1e-9
 
@@ -125,17 +197,18 @@ class Shape(NamedTuple):
 
 
 @njit(cache=True)
-def new_shape():
+def new_shape(max_legs):
     """An empty shape, to be written over and over."""
+    max_knots = 5 * max_legs + 1
     return Shape(
-        np.zeros(MAX_LEGS),
-        np.zeros(MAX_LEGS),
-        np.zeros(MAX_LEGS, dtype=np.bool_),
-        np.zeros(MAX_LEGS),
-        np.zeros(MAX_LEGS, dtype=np.int64),
-        np.zeros(MAX_KNOTS),
-        np.zeros(MAX_KNOTS),
-        np.zeros(MAX_KNOTS),
+        np.zeros(max_legs),
+        np.zeros(max_legs),
+        np.zeros(max_legs, dtype=np.bool_),
+        np.zeros(max_legs),
+        np.zeros(max_legs, dtype=np.int64),
+        np.zeros(max_knots),
+        np.zeros(max_knots),
+        np.zeros(max_knots),
     )
 
 
@@ -224,8 +297,9 @@ def is_inside(phys, x, y, reach_x, reach_y, reach):
 
 # ---------------------------------------------------------------------------------------------------------------------
 # Forbidden delays. Robot i goes through its shape, late by d from one of its rests on (its start, or a way point); robot j
-# keeps its own times. For one straight piece of each, positions a + u s and b + w tau with (s, tau) in a box, the pairs nearer than r fill an ellipse cut by the
-# box: convex, so its projection on tau - s is one interval, found from the box's edges and the ellipse's two tangents.
+# keeps its own times. For one straight piece of each, positions a + u s and b + w tau with (s, tau) in a box, the pairs
+# nearer than r fill an ellipse cut by the box: convex, so its projection on tau - s is one interval, found from the box's
+# edges and the ellipse's two tangents.
 
 
 @njit(cache=True)
@@ -417,9 +491,9 @@ class Plans(NamedTuple):
 
 
 @njit(cache=True)
-def new_plans(start, theta, goal, park, reach, is_free, alone):
+def new_plans(start, theta, goal, park, reach, is_free, alone, max_legs):
     """Plans in which nobody moves yet."""
-    n = len(start)
+    n, max_knots = len(start), 5 * max_legs + 1
     plans = Plans(
         start,
         theta,
@@ -429,14 +503,14 @@ def new_plans(start, theta, goal, park, reach, is_free, alone):
         is_free,
         alone,
         np.zeros(n, dtype=np.int64),
-        np.zeros((n, MAX_LEGS)),
-        np.zeros((n, MAX_LEGS)),
-        np.zeros((n, MAX_LEGS), dtype=np.bool_),
-        np.zeros((n, MAX_LEGS)),
+        np.zeros((n, max_legs)),
+        np.zeros((n, max_legs)),
+        np.zeros((n, max_legs), dtype=np.bool_),
+        np.zeros((n, max_legs)),
         np.ones(n, dtype=np.int64),
-        np.zeros((n, MAX_KNOTS)),
-        np.zeros((n, MAX_KNOTS)),
-        np.zeros((n, MAX_KNOTS)),
+        np.zeros((n, max_knots)),
+        np.zeros((n, max_knots)),
+        np.zeros((n, max_knots)),
         np.zeros((n, 4)),
         np.zeros((n, n), dtype=np.bool_),
         np.zeros(n, dtype=np.int64),
@@ -568,7 +642,7 @@ class Events(NamedTuple):
 
 
 @njit(cache=True)
-def new_events():
+def new_events(max_legs):
     """Room for the intervals of one shape."""
     return Events(
         np.empty(MAX_EVENTS),
@@ -576,7 +650,7 @@ def new_events():
         np.empty(MAX_EVENTS, dtype=np.int64),
         np.empty(MAX_INTERVALS),
         np.empty(MAX_INTERVALS),
-        np.empty(MAX_KNOTS),
+        np.empty(5 * max_legs + 1),
     )
 
 
@@ -826,7 +900,7 @@ def _copy_shape(source, target, n_leg, n_knot):
 @njit(cache=True)
 def start_directly(phys, plans, separation, margin):
     """Everybody by the quicker direct shape, at once."""
-    shape, other = new_shape(), new_shape()
+    shape, other = new_shape(MAX_LEGS), new_shape(MAX_LEGS)
     for i in range(len(plans.start)):
         n_leg, n_knot, t = direct_shape(phys, plans, i, 0, shape)
         n_leg1, n_knot1, t1 = direct_shape(phys, plans, i, 1, other)
@@ -858,7 +932,7 @@ def set_plan_alone(plans, i, shape, n_leg, n_knot):
 def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
     """Plan robots that are late or in conflict again until none is; returns the number of steps, -1 if they were too few."""
     n = len(plans.start)
-    shape, best, events = new_shape(), new_shape(), new_events()
+    shape, best, events = new_shape(MAX_LEGS), new_shape(MAX_LEGS), new_events(MAX_LEGS)
     for i in range(n):
         if plans.kt[i, plans.n_knot[i] - 1] > duration + SAME_DELAY_S:
             replan(phys, plans, rng, i, duration, n_sample, np.inf, separation, margin, shape, best, events)
@@ -908,6 +982,30 @@ def last_arrival(plans):
 
 
 @njit(cache=True)
+def ground(plans, i, shape, separation, margin):
+    """Robot i stays where it starts, for good."""
+    plans.goal[i] = plans.start[i]
+    plans.is_free[i] = False
+    plans.alone[i] = 0.0
+    shape.kt[0], shape.kx[0], shape.ky[0], shape.leave[0] = 0.0, plans.start[i, 0], plans.start[i, 1], -1
+    set_plan(plans, i, shape, 0, 1, 0, 0.0, separation, margin)
+
+
+@njit(cache=True)
+def ground_worst(plans, separation, margin):
+    """Ground the free robot with most conflicts, of those the one with least slack; returns it, -1 if none is left."""
+    worst = -1
+    for i in range(len(plans.start)):
+        if plans.is_free[i] and plans.n_conflict[i] > 0:
+            more = worst < 0 or plans.n_conflict[i] > plans.n_conflict[worst]
+            if more or (plans.n_conflict[i] == plans.n_conflict[worst] and plans.alone[i] > plans.alone[worst]):
+                worst = i
+    if worst >= 0:
+        ground(plans, worst, new_shape(MAX_LEGS), separation, margin)
+    return worst
+
+
+@njit(cache=True)
 def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separation, margin):
     """Plans without conflict, as near to `bound` as is found; returns whether there are any.
 
@@ -940,9 +1038,9 @@ def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separat
 
 @njit(cache=True)
 def leg_starts(phys, plans):
-    """(n, MAX_LEGS) when each leg of each plan starts, s."""
+    """(n, max_legs) when each leg of each plan starts, s."""
     n = len(plans.start)
-    start_s = np.zeros((n, MAX_LEGS))
+    start_s = np.zeros(plans.x.shape)
     for i in range(n):
         t, theta, x, y = 0.0, plans.theta[i], plans.start[i, 0], plans.start[i, 1]
         for m in range(plans.n_leg[i]):
@@ -953,3 +1051,75 @@ def leg_starts(phys, plans):
             t += took
             x, y = plans.x[i, m], plans.y[i, m]
     return start_s
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The paper's planners, one robot at a time: everybody else keeps the plan it has, or stands where it starts.
+
+# Longest start or wait of a traffic light, and of the lattice search, s.
+LONGEST_WAIT_S = 300.0
+# Places on its line where a robot may stop.
+N_STOP = 16
+# Lattice pitch, mm. At any pitch a move is checked in closed form against what the others do meanwhile; a finer one finds
+# narrower ways.
+LATTICE_MM = 3.0
+# Turns on the lattice cost this, s: fewer legs among equals.
+TURN_COST_S = 0.01
+
+
+@njit(cache=True)
+def plan_with_stop(phys, plans, rng, i, separation, shape, best, events):
+    """Plan robot i straight to its goal, waiting before it starts or once on the way; False if no wait clears it."""
+    x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
+    least, best_legs, best_knots, best_delay_s = np.inf, 0, 0, 0.0
+    for stop in range(N_STOP):
+        n_leg = 1 if stop == 0 else 2
+        f = stop / N_STOP
+        shape.x[0], shape.y[0] = x0 + f * (x1 - x0), y0 + f * (y1 - y0)
+        shape.x[n_leg - 1], shape.y[n_leg - 1] = x1, y1
+        for m in range(n_leg):
+            shape.turned[m], shape.wait[m] = True, 0.0
+        n_knot, t = build_knots(
+            phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i]
+        )
+        # Below the least weight of a conflict only none will do.
+        score, delay = best_delay(
+            plans, rng, i, shape, n_knot, n_leg - 1, LONGEST_WAIT_S, separation, 0.0, 0.1, events
+        )  # fmt: skip
+        if score == 0.0 and t + delay < least:
+            least, best_legs, best_knots, best_delay_s = t + delay, n_leg, n_knot, delay
+            _copy_shape(shape, best, n_leg, n_knot)
+    if best_legs == 0:
+        return False
+    set_plan(plans, i, best, best_legs, best_knots, best_legs - 1, best_delay_s, separation, 0.0)
+    return True
+
+
+@njit(cache=True)
+def _is_piece_clear(plans, i, x0, y0, t0, x1, y1, t1, r, trial):
+    """Whether a straight move (or a stand) of robot i from t0 to t1 keeps r from all other plans meanwhile."""
+    r2 = (r - TOUCH_MM) ** 2
+    low_x, high_x, low_y, high_y = min(x0, x1) - r, max(x0, x1) + r, min(y0, y1) - r, max(y0, y1) + r
+    for j in range(len(plans.start)):
+        box = plans.box[j]
+        if j == i or box[0] > high_x or box[1] < low_x or box[2] > high_y or box[3] < low_y:
+            continue
+        kt, kx, ky, last = plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j] - 1
+        t, x, y, k = t0, x0, y0, -1
+        while k < last and kt[k + 1] <= t0:
+            k += 1
+        ex = x0 - _coordinate(kt, kx, k, last, t0)
+        ey = y0 - _coordinate(kt, ky, k, last, t0)
+        if ex * ex + ey * ey < r2:
+            return False
+        while t < t1:
+            event = min(t1, kt[k + 1]) if k < last else t1
+            f = 1.0 if event >= t1 else (event - t0) / (t1 - t0)
+            x, y = x0 + f * (x1 - x0), y0 + f * (y1 - y0)
+            gx = x - _coordinate(kt, kx, k, last, event)
+            gy = y - _coordinate(kt, ky, k, last, event)
+            if _point_segment2(0.0, 0.0, ex, ey, gx, gy) < r2:
+                return False
+            ex, ey, t = gx, gy, event
+            k += 1
+    return True

@@ -12,6 +12,7 @@ from pydantic import Field
 from survey_sim.errors import InputError
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, alone_time_s
+from survey_sim.routing.kernels import has_near
 from survey_sim.settings import Settings
 
 RouterName = Literal["simple-vector", "traffic-light", "cooperative-astar", "coordinated"]
@@ -146,9 +147,7 @@ def _check_inside(plate: Plate, position: FloatArray, place: str) -> None:
 
 def _check_separation(plate: Plate, position: FloatArray, place: str) -> None:
     least = plate.instrument.min_separation_mm
-    distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
-    np.fill_diagonal(distance, np.inf)
-    near = (distance < least - PLANNED_TOLERANCE_MM).any(axis=1)
+    near = has_near(position, least - PLANNED_TOLERANCE_MM)
     if near.any():
         _refuse(plate, near, place, f"robots nearer to each other than min_separation_mm = {least}")
 

@@ -1,6 +1,5 @@
 """Legs played as they are written: times of every robot, and how near they come to each other."""
 
-# ruff: noqa: PLR0917 - kernels take flat arrays
 # mypy: disable-error-code="no-untyped-def"
 from dataclasses import dataclass
 
