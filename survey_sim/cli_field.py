@@ -27,6 +27,9 @@ Out = Annotated[
     Path | None, typer.Option(help="Folder to write; the run folder named, or runs/field, by default.", show_default=False)
 ]
 
+Survey = Annotated[str | None, typer.Option(help="Survey of the run.", show_default=False)]
+Tile = Annotated[int | None, typer.Option(min=0, help="Tile of the survey.", show_default=False)]
+Visits = Annotated[list[int] | None, typer.Option(min=0, help="Visit of the tile. May be repeated.", show_default=False)]
 # Short heads, so that a row fits a terminal.
 _SUMMARY_HEADS = {
     "visit_id": "visit",
@@ -128,9 +131,35 @@ def simulate(
     console.print(f"{made.out / 'paths.csv'}, {made.out / 'robot_times.csv'}")
 
 
+def view(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN_DIR / ROUTER.xml ...",
+            help="Run folders or router files; several: side by side.",
+            show_default=False,
+        ),
+    ],
+    survey: Survey = None,
+    tile: Tile = None,
+    visit: Visits = None,
+    instrument: Instrument = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Page to write; view.html in the run by default.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the field player: one HTML file that opens from disk."""
+    from survey_sim.survey.field import view_field
+
+    page = view_field(sources, out, survey=survey, tile_id=tile, visit_ids=visit, instrument=instrument)
+    _console(quiet).print(f"open in a browser: [bold]{page}[/bold]")
+
+
 def add_field_commands(app: typer.Typer) -> None:
     """Register the commands."""
-    for command in (allocate, route, simulate):
+    for command in (allocate, route, simulate, view):
         app.command()(command)
 
 

@@ -7,6 +7,7 @@ from survey_sim.survey.field.allocate import FieldAllocation, allocate_field
 from survey_sim.survey.field.route import FieldRoutes, route_field
 from survey_sim.survey.field.rows import visits_of_run
 from survey_sim.survey.field.simulate import FieldSimulation, simulate_field, standing_at
+from survey_sim.survey.field.view import view_field, view_page
 
 __all__ = [
     "FieldAllocation",
@@ -16,5 +17,7 @@ __all__ = [
     "route_field",
     "simulate_field",
     "standing_at",
+    "view_field",
+    "view_page",
     "visits_of_run",
 ]
