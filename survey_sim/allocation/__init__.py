@@ -4,6 +4,7 @@
 stand, and its `record` takes what the router could bring about.
 """
 
+from survey_sim.allocation.bound import completeness_bound
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels import crossings
 from survey_sim.allocation.session import Session, VisitAllocation, start_allocation
@@ -17,6 +18,7 @@ __all__ = [
     "LostReason",
     "Session",
     "VisitAllocation",
+    "completeness_bound",
     "crossings",
     "ideal_completeness",
     "start_allocation",
