@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from survey_sim import tables
 from survey_sim.geometry import sky_to_plate, unit_vectors
@@ -58,7 +58,7 @@ def test_grid_has_its_number_of_centres_all_different(a, b):
     grid = icosahedral_grid(a, b)
     assert len(grid) == 10 * (a * a + a * b + b * b) + 2
     np.testing.assert_allclose(np.linalg.norm(grid, axis=1), 1.0, rtol=1e-14)
-    distance = pairs_within(grid, grid, 360.0 / max(a + b, 2) / 5)[2]
+    distance = pairs_within(grid, cKDTree(grid), 360.0 / max(a + b, 2) / 5)[2]
     assert (distance > 1e-6).sum() + len(grid) == len(distance)
 
 
@@ -120,6 +120,14 @@ def test_redundant_tiles_go(whole_sky):
     fewer, with_home = make_tiles(targets, TilingSettings(), FIELD_DEG)
     assert fewer.height < every.height
     check_plates(fewer, with_home)
+
+
+def test_the_best_of_many_orientations_takes_fewer_tiles():
+    targets = make_targets(random_places(4000, 3, dec=(-10.0, 10.0), ra=(350.0, 370.0)))
+    one, _ = make_tiles(targets, TilingSettings(n_orientation=1), FIELD_DEG)
+    best, with_home = make_tiles(targets, TilingSettings(), FIELD_DEG)
+    assert best.height < one.height
+    check_plates(best, with_home)
 
 
 def test_overlap_is_a_setting():
@@ -187,6 +195,6 @@ def test_pairs_within_is_complete_where_many_centres_overlap():
         np.array(random_places(200, 8, dec=(0, 5), ra=(0, 5))),
         np.array(random_places(60, 9, dec=(0, 5), ra=(0, 5))),
     )
-    point, centre, _ = pairs_within(unit_vectors(*points.T), unit_vectors(*centres.T), 2.0)
+    point, centre, _ = pairs_within(unit_vectors(*points.T), cKDTree(unit_vectors(*centres.T)), 2.0)
     expected = {(i, j) for i in range(200) for j in range(60) if naive.angle_deg(points[i], centres[j]) <= 2.0}
     assert set(zip(point.tolist(), centre.tolist(), strict=True)) == expected
