@@ -157,9 +157,38 @@ def view(
     _console(quiet).print(f"open in a browser: [bold]{page}[/bold]")
 
 
+def export(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run.", show_default=False)],
+    form: Annotated[
+        str, typer.Option("--format", help="votable, fits or csv; exchange: the paper's files of one tile.")
+    ] = "votable",
+    survey: Survey = None,
+    tile: Tile = None,
+    visit: Visits = None,
+    table: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this table. May be repeated.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; export/ in the run by default.", show_default=False)
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a run's tables, or those of a tile or visit, for TOPCAT and friends."""
+    out = out or run_dir / "export"
+    if form == "exchange":
+        from survey_sim.survey.field import export_exchange
+
+        files = export_exchange(run_dir, out, survey=survey, tile_id=tile, visit_ids=visit)
+    else:
+        from survey_sim.survey.export import export_run
+
+        files = export_run(run_dir, out, form, survey=survey, tile_id=tile, visit_ids=visit, only=table)
+    _console(quiet).print(f"{len(files)} files: [bold]{out}[/bold]")
+
+
 def add_field_commands(app: typer.Typer) -> None:
     """Register the commands."""
-    for command in (allocate, route, simulate, view):
+    for command in (allocate, route, simulate, view, export):
         app.command()(command)
 
 

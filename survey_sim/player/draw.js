@@ -180,6 +180,7 @@ class PlateView {
     const body = (instrument.robot_diameter_mm / 2) * this.scale, zone = (instrument.min_separation_mm / 2) * this.scale;
     const colours = PALETTES[look.palette][look.theme], rest = cssColour("--rest"), idle = cssColour("--idle");
     const edge = cssColour("--edge"), bad = cssColour("--bad"), dead = cssColour("--dead"), text = cssColour("--text");
+    const heading = cssColour("--heading");
     const isNear = new Set(near);
     if (look.zone) {
       context.strokeStyle = cssColour("--zone"); context.lineWidth = 0.8; context.beginPath();
@@ -206,7 +207,7 @@ class PlateView {
         const angle = (sample.theta[i] * Math.PI) / 180;
         context.moveTo(px, py); context.lineTo(px + this.side * body * Math.cos(angle), py - body * Math.sin(angle));
       }
-      context.strokeStyle = "#fff"; context.lineWidth = Math.max(1, 0.16 * body); context.stroke();
+      context.strokeStyle = isDead ? text : heading; context.lineWidth = Math.max(1, 0.16 * body); context.stroke();
       if (isNear.has(i) || this.visit.reason(i)) {
         context.beginPath(); context.arc(px, py, zone + 2, 0, TURN);
         context.strokeStyle = bad; context.lineWidth = 2; context.setLineDash(isNear.has(i) ? [] : [3, 3]); context.stroke(); context.setLineDash([]);
@@ -314,7 +315,7 @@ class TimeStrip {
     const bar = (robot, from, until, state, share) => {
       const y = this.top + this.row.get(robot) * tall, inset = tall > 3 ? 0.5 : 0;
       context.fillStyle = colours[state];
-      context.globalAlpha = state === WAITING ? 0.55 : 1;
+      context.globalAlpha = state === WAITING ? 0.75 : 1;
       context.fillRect(this.left + from * wide, y + inset + (tall - 2 * inset) * (1 - share) / 2, Math.max((until - from) * wide, 0.6), (tall - 2 * inset) * share);
     };
     for (const robot of this.order) {

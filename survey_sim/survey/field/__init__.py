@@ -4,6 +4,7 @@ Each command is one function: files in; a run's folder with tables and exchange 
 """
 
 from survey_sim.survey.field.allocate import FieldAllocation, allocate_field
+from survey_sim.survey.field.files import export_exchange
 from survey_sim.survey.field.route import FieldRoutes, route_field
 from survey_sim.survey.field.rows import visits_of_run
 from survey_sim.survey.field.simulate import FieldSimulation, simulate_field, standing_at
@@ -14,6 +15,7 @@ __all__ = [
     "FieldRoutes",
     "FieldSimulation",
     "allocate_field",
+    "export_exchange",
     "route_field",
     "simulate_field",
     "standing_at",
