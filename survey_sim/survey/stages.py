@@ -37,7 +37,12 @@ def select_targets(run: Run) -> None:
     """Catalogues -> selected targets (no tile yet) and rejected rows."""
     settings = run.settings
     made = make_targets(
-        settings.programme, settings.tiling.region, settings.run.seed, data_folder("catalogues"), cache_folder()
+        settings.programme,
+        settings.tiling.region,
+        settings.run.seed,
+        data_folder("catalogues"),
+        cache_folder(),
+        calibration_reach_deg=2.0 * run.instrument.field_radius_deg,
     )
     tables.write(made.targets, "targets", selected_path(run))
     tables.write(made.rejected, "rejected", run.table("rejected"))
@@ -106,7 +111,12 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
     dump = run.settings.model_dump(mode="json")
     instrument = run.instrument.model_dump(mode="json")
     sections: dict[str, dict[str, Any]] = {
-        "targets": {"seed": dump["run"]["seed"], "programme": dump["programme"], "region": dump["tiling"].get("region")},
+        "targets": {
+            "seed": dump["run"]["seed"],
+            "programme": dump["programme"],
+            "region": dump["tiling"]["region"],
+            "field_radius_deg": run.instrument.field_radius_deg,
+        },
         "tiles": {"tiling": dump["tiling"], "instrument": instrument, "dead_robots": dump["instrument"]["dead_robots"]},
         "visits": {
             "seed": dump["run"]["seed"],
