@@ -1,0 +1,23 @@
+"""Completeness against time.
+
+Share of each programme's targets that have been observed in all the visits they want. Dotted: the completeness wanted.
+"""
+
+from matplotlib.figure import Figure
+
+from survey_sim.plotting import RunTables, main, new_figure
+from survey_sim.plotting.timeline import draw_timeline
+
+
+def draw(run: RunTables) -> Figure:
+    """Completeness of each programme, night by night."""
+    figure = new_figure(height_in=3.8)
+    axes = figure.add_subplot()
+    draw_timeline(axes, run)
+    if run.is_scheduled:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=3, columnspacing=1.5)
+    return figure
+
+
+if __name__ == "__main__":
+    main(__file__)

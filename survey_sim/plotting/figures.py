@@ -1,0 +1,107 @@
+"""From figure scripts to files: finding, loading, drawing, saving; and the command line that every script has."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from survey_sim.errors import InputError
+from survey_sim.folders import data_folder
+from survey_sim.plotting.run import RunTables
+from survey_sim.plotting.style import figure_style
+from survey_sim.tables import write_bytes
+
+Draw = Callable[[RunTables], Figure]
+DEFAULT_DPI = 150
+# The same figure gives the same bytes: no date, no version.
+_METADATA = {"png": {"Software": None}, "pdf": {"CreationDate": None, "Producer": None, "Creator": None}}
+
+
+@dataclass(frozen=True)
+class Script:
+    """A figure script of `reports/`.
+
+    Attributes
+    ----------
+    name
+        Of the script, and of its figure's files.
+    title, caption
+        First line and rest of the script's docstring.
+    """
+
+    name: str
+    title: str
+    caption: str
+    draw: Draw
+
+
+def find_scripts(folder: Path | None = None) -> dict[str, Script]:
+    """The figure scripts of a folder (`reports` by default) by name."""
+    scripts = (load_script(path) for path in sorted((folder or data_folder("reports")).glob("*.py")))
+    return {script.name: script for script in scripts}
+
+
+def load_script(path: Path) -> Script:
+    """A figure script as a module that no other can import: its docstring and its `draw`.
+
+    Raises
+    ------
+    InputError
+        It has no `draw` or no docstring.
+    """
+    spec = importlib.util.spec_from_file_location(f"survey_sim_reports_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError("cannot be read as a Python script", file=path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    draw = getattr(module, "draw", None)
+    if draw is None or not module.__doc__:
+        raise InputError("a figure script has a docstring (title, blank line, caption) and a function draw(run)", file=path)
+    title, _, caption = module.__doc__.strip().partition("\n")
+    return Script(path.stem, title.rstrip("."), " ".join(caption.split()), draw)
+
+
+def draw_script(script: Script, run: RunTables, folder: Path) -> tuple[bytes, tuple[float, float]]:
+    """Draw a script's figure and save it as PNG and PDF.
+
+    Returns
+    -------
+        The PNG's bytes, and the figure's width and height in inches.
+    """
+    with figure_style():
+        figure = script.draw(run)
+        png = save_figure(figure, folder / script.name, run.setting("report", "dpi") or DEFAULT_DPI)
+    return png, tuple(figure.get_size_inches())
+
+
+def save_figure(figure: Figure, stem: Path, dpi: int = DEFAULT_DPI) -> bytes:
+    """Save a figure as `stem`.png and `stem`.pdf, each whole or not at all; gives the PNG's bytes."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out once for both files
+    contents = {}
+    for kind, metadata in _METADATA.items():
+        buffer = BytesIO()
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+        contents[kind] = buffer.getvalue()
+        write_bytes(contents[kind], stem.with_name(f"{stem.name}.{kind}"))
+    return contents["png"]
+
+
+def main(script: str) -> None:
+    """Command line of a figure script: `python reports/NAME.py RUN_DIR [OUT_DIR]`."""
+    name, arguments = Path(script).stem, sys.argv[1:]
+    if len(arguments) not in {1, 2} or arguments[0].startswith("-"):
+        sys.exit(f"usage: python {script} RUN_DIR [OUT_DIR]\n\n{load_script(Path(script)).title}.")
+    run_dir = Path(arguments[0])
+    folder = Path(arguments[1]) if len(arguments) == 2 else run_dir / "report" / "figures"
+    try:
+        draw_script(load_script(Path(script)), RunTables(run_dir), folder)
+    except InputError as failure:
+        sys.exit(f"error: {failure}")
+    print(folder / f"{name}.png")

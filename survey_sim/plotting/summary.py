@@ -1,0 +1,188 @@
+"""A run in numbers: how complete, when, at what cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from survey_sim.plotting.run import ProgrammeRow, RunTables, Visit, evening_dates
+
+
+@dataclass(frozen=True)
+class ProgrammeNumbers:
+    """A programme's completeness.
+
+    Attributes
+    ----------
+    done_frac
+        Share observed in all wanted visits, or allocated if nothing was scheduled; None without targets.
+    reached
+        Date (UTC, of the evening) of the night that brought the completeness wanted; None if none did.
+    """
+
+    row: ProgrammeRow
+    done_frac: float | None
+    reached: str | None
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the completeness wanted was reached."""
+        return self.done_frac is not None and self.row.wanted_frac is not None and self.done_frac >= self.row.wanted_frac
+
+
+@dataclass(frozen=True)
+class SurveyNumbers:
+    """Totals of one survey; times in s, None where there is nothing to take them from."""
+
+    name: str
+    n_tile: int
+    n_target: int
+    n_visit: int
+    n_pointing: int
+    n_observed: int
+    n_leg: int
+    travel_km: float
+    crossings_mean: float | None
+    configuration_median_s: float | None
+    configuration_p95_s: float | None
+    configuration_max_s: float | None
+    filtered_median_s: float | None
+    bound_frac: float | None
+    within_readout_frac: float | None
+    pointing_median_s: float | None
+    pointing_within_readout_frac: float | None
+    n_collision: int
+    n_unrouted: int
+    least_separation_mm: float | None
+
+
+@dataclass(frozen=True)
+class NightNumbers:
+    """What the nights were spent on, h."""
+
+    n_night: int
+    first: str
+    last: str
+    dark_h: float
+    lost_h: float
+    exposing_h: float
+    overhead_h: float
+    n_pointing: int
+    n_failed: int
+
+    @property
+    def unused_h(self) -> float:
+        """Hours neither lost nor spent."""
+        return max(0.0, self.dark_h - self.lost_h - self.exposing_h - self.overhead_h)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All numbers of a run's first screen and totals; `nights` is None if none were scheduled."""
+
+    programmes: list[ProgrammeNumbers]
+    surveys: list[SurveyNumbers]
+    nights: NightNumbers | None
+    visits: dict[str, tuple[Visit, float]]
+
+    @property
+    def n_visit(self) -> int:
+        """Visits of all surveys."""
+        return sum(survey.n_visit for survey in self.surveys)
+
+
+def summarise(run: RunTables) -> Summary:
+    """The numbers of a run."""
+    return Summary(
+        programmes=[_programme(run, row) for row in run.programmes],
+        surveys=[_survey(run, survey) for survey in run.surveys],
+        nights=_nights(run),
+        visits=_named_visits(run),
+    )
+
+
+def _programme(run: RunTables, row: ProgrammeRow) -> ProgrammeNumbers:
+    done = row.n_observed if run.is_scheduled else row.n_allocated
+    return ProgrammeNumbers(row, done / row.n_target if row.n_target else None, _reached(run, row))
+
+
+def _reached(run: RunTables, row: ProgrammeRow) -> str | None:
+    column = f"completeness_frac_{row.name}"
+    if row.wanted_frac is None or not row.n_target or column not in run.nights.columns:
+        return None
+    enough = run.nights.filter(pl.col(column) >= row.wanted_frac)["evening_mjd"]
+    return _date(enough[0]) if len(enough) else None
+
+
+def _survey(run: RunTables, survey: str) -> SurveyNumbers:
+    visits, exposures = run.visits.filter(survey=survey), run.exposures.filter(survey=survey)
+    paths, tiles = run.paths.filter(survey=survey), run.tiles.filter(survey=survey)
+    moving = visits.filter(pl.col("configuration_time_s") > 0)
+    time, pointing = moving["configuration_time_s"], exposures["configuration_time_s"]
+    travel = run.travel.filter(survey=survey)
+    return SurveyNumbers(
+        name=survey,
+        n_tile=len(tiles),
+        n_target=int(tiles["n_target"].sum()),
+        n_visit=len(visits),
+        n_pointing=len(exposures),
+        n_observed=int((exposures["status"] == "observed").sum()),
+        n_leg=int(run.leg_counts.get(survey, 0)),
+        travel_km=float(travel["travel_mm"].sum()) / 1e6,
+        crossings_mean=_number(visits["crossings"].mean()),
+        configuration_median_s=_number(time.median()),
+        configuration_p95_s=_number(time.quantile(0.95, "linear")),
+        configuration_max_s=_number(time.max()),
+        filtered_median_s=_number(moving["configuration_time_p95_s"].median()),
+        bound_frac=_number((time <= moving["lower_bound_s"] * (1.0 + 1e-6)).mean()),
+        within_readout_frac=_share_within(time, run.readout_s),
+        pointing_median_s=_number(pointing.median()),
+        pointing_within_readout_frac=_share_within(pointing, run.readout_s),
+        n_collision=int(paths["collisions"].sum()),
+        n_unrouted=int(paths["unrouted"].sum()),
+        least_separation_mm=_number(paths["min_separation_mm"].min()),
+    )
+
+
+def _nights(run: RunTables) -> NightNumbers | None:
+    nights = run.nights
+    if nights.is_empty():
+        return None
+    hours = {name: float(nights[f"{name}_s"].sum()) / 3600.0 for name in ("dark", "lost", "exposing", "overhead")}
+    return NightNumbers(
+        n_night=len(nights),
+        first=_date(nights["evening_mjd"][0]),
+        last=_date(nights["evening_mjd"][-1]),
+        dark_h=hours["dark"],
+        lost_h=hours["lost"],
+        exposing_h=hours["exposing"],
+        overhead_h=hours["overhead"],
+        n_pointing=len(run.exposures),
+        n_failed=int((run.exposures["status"] != "observed").sum()),
+    )
+
+
+def _named_visits(run: RunTables) -> dict[str, tuple[Visit, float]]:
+    """Visits worth a look, with their configuration times, s."""
+    named = {"slowest": run.slowest_visit, "median": run.median_visit, "most crossings": run.shown_visit}
+    times = {}
+    for name, visit in named.items():
+        if visit is not None:
+            row = run.visits.filter(survey=visit.survey, tile_id=visit.tile_id, visit_id=visit.visit_id)
+            times[name] = (visit, float(row["configuration_time_s"].sum()))
+    return times
+
+
+def _share_within(times: pl.Series, limit_s: float | None) -> float | None:
+    return None if limit_s is None else _number((times <= limit_s).mean())
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _date(mjd: float) -> str:
+    return str(evening_dates(np.array([mjd]))[0])[:10]

@@ -1,0 +1,127 @@
+"""The report of a run: every figure of `reports/` as PNG and PDF, and one HTML page that holds them all."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import polars as pl
+from markupsafe import Markup
+
+from survey_sim import tables
+from survey_sim.folders import data_folder
+from survey_sim.plotting import RunTables, Script, draw_script, find_scripts, summarise
+from survey_sim.plotting.style import programme_lines, survey_colours
+from survey_sim.schema import TABLES
+
+# What stands in a table where there is no number: an en dash.
+NOTHING = "\u2013"
+PAGE, STYLE = "page.html.jinja", "page.css"
+# Pixels of a screen to the inch, by which a figure is shown at the size for which it was drawn.
+_SCREEN_DPI = 96
+
+
+@dataclass
+class Figures:
+    """Figures drawn for a page; the page asks for them by name, and at its end for those that it has not named."""
+
+    run: RunTables
+    scripts: Mapping[str, Script]
+    folder: Path
+    images: dict[str, tuple[bytes, tuple[float, float]]] = field(default_factory=dict)
+    _shown: set[str] = field(default_factory=set)
+
+    def draw_all(self) -> None:
+        """Draw every figure, and save it."""
+        for name, script in self.scripts.items():
+            self.images[name] = draw_script(script, self.run, self.folder)
+
+    def show(self, name: str) -> Markup:
+        """An HTML figure: the image itself, its title and its caption."""
+        self._shown.add(name)
+        script, (png, (width_in, height_in)) = self.scripts[name], self.images[name]
+        image = Markup('<img src="data:image/png;base64,{}" width="{}" height="{}" alt="{}">').format(
+            b64encode(png).decode(), round(width_in * _SCREEN_DPI), round(height_in * _SCREEN_DPI), script.title
+        )
+        words = Markup("<figcaption><strong>{}.</strong> {}</figcaption>").format(script.title, script.caption)
+        return Markup('<figure id="{}">{}{}</figure>').format(name, image, words)
+
+    def rest(self) -> Iterator[Markup]:
+        """Figures that the page has not shown yet."""
+        for name in self.scripts:
+            if name not in self._shown:
+                yield self.show(name)
+
+
+def make_report(run_dir: Path) -> Path:
+    """Draw all figures of a run and write its page, `report/index.html`; gives the page's path.
+
+    Raises
+    ------
+    InputError
+        The folder holds no run, or a table is not sound.
+    """
+    run, reports = RunTables(run_dir), data_folder("reports")
+    folder = run_dir / "report"
+    figures = Figures(run, find_scripts(reports), folder / "figures")
+    figures.draw_all()
+    page = _environment(reports).get_template(PAGE)
+    text = page.render(
+        run=run,
+        summary=summarise(run),
+        figures=figures,
+        style=Markup((reports / STYLE).read_text(encoding="utf-8")),
+        record=run.record,
+        colours={name: line.color for name, line in programme_lines(run).items()},
+        survey_colours=survey_colours(run),
+        lost=run.lost_counts,
+        sizes=_sizes(run),
+    )
+    tables.write_bytes(text.encode(), folder / "index.html")
+    return folder / "index.html"
+
+
+def _environment(folder: Path) -> jinja2.Environment:
+    """Templates of a folder; every string that is put into a page is escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(count=_count, number=_number, percent=_percent, json=_json)
+    return environment
+
+
+def _sizes(run: RunTables) -> list[tuple[str, int, int]]:
+    """Name, rows and bytes of each table that the run has."""
+    rows = []
+    for name in TABLES:
+        files = tables.files(run.folder, name)
+        if files:
+            n_row = run.scan(name).select(pl.len()).collect().item()
+            rows.append((name, n_row, sum(file.stat().st_size for file in files)))
+    return rows
+
+
+def _count(value: int | None) -> str:
+    return NOTHING if value is None else f"{value:,}"
+
+
+def _number(value: float | None, decimals: int = 1, unit: str = "") -> str:
+    """A number with its unit after a space that does not break; a dash for none."""
+    return NOTHING if value is None else f"{value:,.{decimals}f}" + (f"\u00a0{unit}" if unit else "")
+
+
+def _percent(value: float | None, decimals: int = 1) -> str:
+    return NOTHING if value is None else f"{100 * value:.{decimals}f}\u00a0%"
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=2, sort_keys=True)
