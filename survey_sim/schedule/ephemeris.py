@@ -13,6 +13,7 @@ import erfa
 import numpy as np
 import numpy.typing as npt
 
+from survey_sim.schedule.kernels import DAY_S
 from survey_sim.schedule.settings import Site
 
 if TYPE_CHECKING:
@@ -21,14 +22,11 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 
 MJD_ZERO = 2_400_000.5
-# Sidereal over mean solar time (IAU 2006, TN 36 eq. 5.15, leading term): turns of the Earth in a day.
-SIDEREAL_RATE = 1.002_737_811_911_354_48
 # Coarse grid of the spline, days: the Moon goes 3.3 deg in a step, the cubic is good to 0.01 arcsec.
 _GRID_STEP_D = 0.25
 _WGS84 = 1
-_DAY_S = 86_400.0
 # TT - UTC since 2017-01-01 (IERS Bulletin C); a few seconds wrong elsewhen: the Moon goes 0.5 arcsec in one.
-_TT_UTC_D = 69.184 / _DAY_S
+_TT_UTC_D = 69.184 / DAY_S
 
 
 def mjd_of(day: date) -> int:
@@ -116,7 +114,7 @@ def make_ephemeris(site: Site, first: date, last: date) -> Ephemeris:
 
     mjd = np.arange(mjd_of(first) - 2.0, mjd_of(last) + 3.0 + _GRID_STEP_D, _GRID_STEP_D)
     heliocentric, barycentric = erfa.epv00(MJD_ZERO, mjd + _TT_UTC_D)
-    earth_c = barycentric["v"] * (erfa.DAU / _DAY_S / erfa.CMPS)
+    earth_c = barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
     sun = -heliocentric["p"]
     sun = sun + np.linalg.norm(sun, axis=1, keepdims=True) * earth_c
     moon = erfa.moon98(MJD_ZERO, mjd + _TT_UTC_D)["p"]

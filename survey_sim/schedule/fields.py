@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.schedule.ephemeris import Ephemeris
-from survey_sim.schedule.kernels import Fields, State, work_left
+from survey_sim.schedule.kernels import Fields, Rules, State, update_weights, work_left
 from survey_sim.schedule.problem import Problem
 from survey_sim.schedule.settings import SKY_STATES, ScheduleSettings, SurveyRule
 from survey_sim.schedule.sky import N_LST_BIN, Night, time_by_bin
@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def make_fields(
-    problem: Problem, ephemeris: Ephemeris, night: Night, rules: Sequence[SurveyRule], urgency: FloatArray
+    problem: Problem, ephemeris: Ephemeris, night: Night, rules: Sequence[SurveyRule], pressure: FloatArray
 ) -> Fields:
     """All tiles for one night; see `kernels.Fields`."""
     direction = ephemeris.directions(problem.tile_icrs, night.evening_mjd + 0.5)
@@ -33,7 +33,7 @@ def make_fields(
         dec_rad=dec_rad,
         window_rad=observing_window(dec_rad, problem, latitude_rad, rules),
         min_airmass=min_airmass,
-        urgency=urgency,
+        pressure=pressure,
     )
 
 
@@ -62,9 +62,11 @@ class LookAhead:
     states
         (n_survey, 4) 1 for the states of the sky that a survey takes (or fills, if it takes none).
     time_s
-        (n_night + 1, 24, 4) clear time expected from each night on, s.
+        (n_night + 1, 24, 4) time from each night on, were all of it clear, s.
+    overhead_s
+        (n_survey,) usual overhead of an exposure, s.
     is_on
-        Whether urgency is wanted; if not, it is 1 for all.
+        Whether pressure counts; if not, it is 1 for all.
     """
 
     problem: Problem
@@ -100,28 +102,39 @@ class LookAhead:
             window_rad=window_rad,
             is_open=_share_open(np.arctan2(direction[:, 1], direction[:, 0]), window_rad),
             states=np.array([[float(state in states) for state in SKY_STATES] for states in wanted]).reshape(-1, 4),
-            time_s=time_by_bin(nights) * (1.0 - settings.weather.mean_loss_frac),
+            time_s=time_by_bin(nights),
             overhead_s=np.array([readout_s + rule.calibration_s for rule in rules], dtype=np.float64),
             is_on=settings.is_looking_ahead,
         )
 
     def left_s(self, night: int) -> FloatArray:
-        """(n_tile,) clear time expected for each tile from a night on, s."""
+        """(n_tile,) time open to each tile from a night on, were all of it clear, s."""
         by_survey = self.time_s[night] @ self.states.T
         return np.asarray((self.is_open * by_survey.T[self.problem.tile_survey]).sum(axis=1))
 
-    def urgency(self, night: int, state: State, weight: FloatArray) -> FloatArray:
-        """(n_tile,) P / (1 + P), P the pressure on each tile's time from a night on.
+    def pressure(self, night: int, state: State, numbers: Rules) -> FloatArray:
+        """(n_tile,) pressure on each tile's time from a night on: hours wanted / hours left, shared with its rivals.
 
-        A tile spreads its work over the bins open to it in proportion to their time; the load of a bin is all work
-        spread on it over its time; P is the mean load of a tile's bins, weighted by time.
+        A tile spreads its work over the bins open to it in proportion to their time; the load of a bin is all work spread
+        on it over its time; the pressure is the mean load of a tile's bins, weighted by time. 1 where no time is left: such
+        a field is only ever observed in time that nobody takes.
         """
         problem = self.problem
         if not self.is_on:
             return np.ones(len(problem.tile_survey))
         work_s = np.empty(len(problem.tile_survey))
-        visits = problem.visits
-        work_left(problem.tile_survey, problem.first_visit, visits.exposure_s, state, weight, self.overhead_s, work_s)
+        weight = np.empty(len(problem.programmes))
+        update_weights(numbers, state, weight)
+        work_left(
+            problem.tile_survey,
+            problem.first_visit,
+            problem.visits,
+            state,
+            weight,
+            self.overhead_s,
+            numbers.repeat_min_frac,
+            work_s,
+        )
         left_s = self.left_s(night)
         spread = np.divide(work_s, left_s, out=np.zeros_like(work_s), where=left_s > 0)
         load = np.zeros((N_LST_BIN, len(SKY_STATES)))
@@ -130,8 +143,7 @@ class LookAhead:
             load += (spread[of_survey] @ self.is_open[of_survey])[:, None] * states
         loaded = (load * self.time_s[night]) @ self.states.T
         pressed = (self.is_open * loaded.T[problem.tile_survey]).sum(axis=1)
-        pressure = np.divide(pressed, left_s, out=np.full_like(left_s, np.inf), where=left_s > 0)
-        return 1.0 - 1.0 / (1.0 + pressure)
+        return np.divide(pressed, left_s, out=np.ones_like(left_s), where=left_s > 0)
 
 
 def _share_open(ra_rad: FloatArray, window_rad: FloatArray) -> FloatArray:

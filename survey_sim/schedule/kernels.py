@@ -17,13 +17,17 @@ BoolArray = npt.NDArray[np.bool_]
 ByteArray = npt.NDArray[np.uint8]
 
 TWO_PI = 2.0 * np.pi
-# Local sidereal rad in a second of UTC.
-SIDEREAL_RAD_S = TWO_PI * 1.002_737_811_911_354_48 / 86_400.0
+# Sidereal over mean solar rate (Aoki et al. 1982), and rad of sidereal time in a second.
+SIDEREAL_RATE = 1.002_737_909_350_795
+DAY_S = 86_400.0
 MINUTE_S = 60.0
-# Levels of a survey's right to a minute (as in sky.py).
-FILLS, TAKES = 1, 2
+SIDEREAL_RAD_S = TWO_PI * SIDEREAL_RATE / DAY_S
+# Levels of a survey's right to a minute.
+NONE, FILLS, TAKES = 0, 1, 2
 # Status of a pointing.
 OBSERVED, INTERRUPTED, NOT_STARTED = 0, 1, 2
+# Worth is counted in whole parts of a target, so that sums are exact: thirds, fourths, ... of it up to sixteenths.
+WHOLE_TARGET = 720_720
 # The Moon's way between the ends of a minute, by which its distance limit is widened: 0.02 deg.
 MOON_MARGIN_RAD = 3.5e-4
 
@@ -33,7 +37,7 @@ class Fields(NamedTuple):
 
     survey: (n,); first_visit: (n + 1,) places of each tile's visits; direction: (n, 3) of date; ra_rad, dec_rad: (n,)
     of date; window_rad: (n,) largest hour angle at which the field may be observed, < 0 if never; min_airmass: (n,);
-    urgency: (n,) worth factor of waiting no longer.
+    pressure: (n,) factor of worth, see `fields.LookAhead`.
     """
 
     survey: IntArray
@@ -43,7 +47,7 @@ class Fields(NamedTuple):
     dec_rad: FloatArray
     window_rad: FloatArray
     min_airmass: FloatArray
-    urgency: FloatArray
+    pressure: FloatArray
 
 
 class Visits(NamedTuple):
@@ -84,6 +88,8 @@ class Rules(NamedTuple):
     moon_cos_max: FloatArray
     survey_weight: FloatArray
     success_frac: FloatArray
+    n_enough: IntArray  # targets that make the completeness wanted
+    beyond_wanted_weight: float
     readout_s: float
     slew_rad_s: float
     settle_s: float
@@ -98,7 +104,7 @@ class Rules(NamedTuple):
 class State(NamedTuple):
     """What changes as visits are observed.
 
-    next_visit: (n,) next visit of each tile; gain: (m, n_programme) targets held that still want a visit; n_observed,
+    next_visit: (n,) next visit of each tile; gain: (m, n_programme) parts of targets that a visit would gain; n_observed,
     n_tried, first_night, last_night: (k,); n_complete: (n_programme,).
     """
 
@@ -112,19 +118,20 @@ class State(NamedTuple):
 
 
 class Night(NamedTuple):
-    """Sky of the night by minutes, see `sky.Night`; weight: (n_programme,) worth of one target-visit."""
+    """Sky of the night by minutes, see `sky.Night`."""
 
     number: int
     sidereal_rad: float
     level: ByteArray
     moon: FloatArray
     is_cloudy: BoolArray
-    weight: FloatArray
 
 
 # Columns of the log of a night.
 LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD = range(8)
 N_LOG = 8
+# Pointings of one night: each takes at least the shortest exposure, or is cut short by a cloudy minute.
+MAX_CUT_SHORT = 1_440
 
 
 @njit(cache=True)
@@ -167,12 +174,49 @@ def configuration_time(visits, visit, previous, constant_s):
 
 
 @njit(cache=True)
+def share(n_wanted):
+    """Parts of a target that one visit is worth to one that still wants so many: the fewer, the nearer it is to complete."""
+    return WHOLE_TARGET // n_wanted if n_wanted > 0 else 0
+
+
+@njit(cache=True)
+def add_gains(visits, targets, n_observed, gain):
+    """Add to (m, n_programme) what the targets held at each visit would gain by it, parts of a target."""
+    for visit in range(len(visits.tile)):
+        for h in range(visits.first_holding[visit], visits.first_holding[visit + 1]):
+            target = visits.target[h]
+            gain[visit, targets.programme[target]] += share(targets.wanted[target] - n_observed[target])
+
+
+@njit(cache=True)
+def update_weights(rules, state, weight):
+    """Set (n_programme,) what a target of each programme counts: 1 until enough are complete; True if any changed."""
+    has_changed = False
+    for programme in range(len(weight)):
+        is_short = state.n_complete[programme] < rules.n_enough[programme]
+        new = 1.0 if is_short else rules.beyond_wanted_weight
+        has_changed = has_changed or new != weight[programme]
+        weight[programme] = new
+    return has_changed
+
+
+@njit(cache=True)
 def visit_worth(state, visit, weight):
-    """Weighted target-visits that a visit would bring."""
+    """Weighted parts of targets that a visit would gain."""
     worth = 0.0
     for programme in range(len(weight)):
         worth += weight[programme] * state.gain[visit, programme]
     return worth
+
+
+@njit(cache=True)
+def _is_worth_repeating(visits, state, visit, repeat_min_frac):
+    """Whether enough of what a visit holds still wants it."""
+    gain = 0
+    for programme in range(state.gain.shape[1]):
+        gain += state.gain[visit, programme]
+    n_held = visits.first_holding[visit + 1] - visits.first_holding[visit]
+    return gain >= repeat_min_frac * n_held * WHOLE_TARGET
 
 
 @njit(cache=True)
@@ -191,29 +235,26 @@ def next_candidate(fields, visits, state, tile, weight, repeat_min_frac):
         state.next_visit[tile] += 1
     best, best_worth = -1, 0.0
     for visit in range(fields.first_visit[tile], end):
-        n_left = 0
-        for programme in range(len(weight)):
-            n_left += state.gain[visit, programme]
-        n_held = visits.first_holding[visit + 1] - visits.first_holding[visit]
         worth = visit_worth(state, visit, weight)
-        if n_left >= repeat_min_frac * n_held and worth > best_worth:
+        if worth > best_worth and _is_worth_repeating(visits, state, visit, repeat_min_frac):
             best, best_worth = visit, worth
     return best
 
 
 @njit(cache=True)
-def work_left(tile_survey, first_visit, exposure_s, state, weight, overhead_s, out):
-    """Fill (n,) seconds that the visits left in each tile would take, by exposure and each survey's usual overhead."""
+def work_left(tile_survey, first_visit, visits, state, weight, overhead_s, repeat_min_frac, out):
+    """Fill (n,) seconds that the visits left in each tile, new or to be repeated, would take with the usual overhead."""
     for tile in range(len(out)):
         out[tile] = 0.0
-        for visit in range(state.next_visit[tile], first_visit[tile + 1]):
-            if visit_worth(state, visit, weight) > 0.0:
-                out[tile] += exposure_s[visit] + overhead_s[tile_survey[tile]]
+        for visit in range(first_visit[tile], first_visit[tile + 1]):
+            is_wanted = visit >= state.next_visit[tile] or _is_worth_repeating(visits, state, visit, repeat_min_frac)
+            if is_wanted and visit_worth(state, visit, weight) > 0.0:
+                out[tile] += visits.exposure_s[visit] + overhead_s[tile_survey[tile]]
 
 
 @njit(cache=True)
-def credit(visits, targets, state, visit, night, success_frac, key):
-    """Count a good exposure of a visit: draw each target's success, note what it still wants."""
+def credit(visits, targets, state, visit, night, success_frac, key, is_stale):
+    """Count a good exposure: draw each target's success, note what it still wants, and which tiles' offers that alters."""
     for h in range(visits.first_holding[visit], visits.first_holding[visit + 1]):
         target = visits.target[h]
         programme = targets.programme[target]
@@ -224,10 +265,13 @@ def credit(visits, targets, state, visit, night, success_frac, key):
         if state.first_night[target] < 0:
             state.first_night[target] = night
         state.last_night[target] = night
-        if state.n_observed[target] == targets.wanted[target]:
+        n_wanted = targets.wanted[target] - state.n_observed[target]
+        change = share(n_wanted) - share(n_wanted + 1)
+        for g in range(targets.first_held[target], targets.first_held[target + 1]):
+            state.gain[targets.visit[g], programme] += change
+            is_stale[visits.tile[targets.visit[g]]] = True
+        if n_wanted == 0:
             state.n_complete[programme] += 1
-            for g in range(targets.first_held[target], targets.first_held[target + 1]):
-                state.gain[targets.visit[g], programme] -= 1
 
 
 @njit(cache=True)
@@ -255,27 +299,27 @@ def _first_cloud(is_cloudy, start_s, end_s):
 
 @njit(cache=True)
 def _is_near_moon(direction, moon, cos_max):
-    """Whether a direction is nearer to the Moon than allowed; a Moon that is down is a zero vector."""
+    """Whether a direction is nearer to the Moon than allowed; never so for one that is down (NaN)."""
     return direction[0] * moon[0] + direction[1] * moon[1] + direction[2] * moon[2] > cos_max
 
 
 @njit(cache=True)
-def _offers(night, fields, visits, rules, state):
-    """(n,) visit that each tile offers, -1 if none, and the tiles that offer one."""
-    candidate = np.full(len(fields.survey), -1, dtype=np.int64)
-    active = np.empty(len(fields.survey), dtype=np.int64)
+def _offer(fields, visits, rules, state, weight, is_stale, candidate):
+    """Fill (n,) visit that each stale tile offers, -1 if none; gives the tiles that offer one."""
+    active = np.empty(len(candidate), dtype=np.int64)
     n_active = 0
-    for tile in range(len(fields.survey)):
-        if fields.window_rad[tile] > 0.0:
-            candidate[tile] = next_candidate(fields, visits, state, tile, night.weight, rules.repeat_min_frac)
-            if candidate[tile] >= 0:
-                active[n_active] = tile
-                n_active += 1
-    return candidate, active[:n_active]
+    for tile in range(len(candidate)):
+        if is_stale[tile] and fields.window_rad[tile] > 0.0:
+            candidate[tile] = next_candidate(fields, visits, state, tile, weight, rules.repeat_min_frac)
+        is_stale[tile] = False
+        if candidate[tile] >= 0:
+            active[n_active] = tile
+            n_active += 1
+    return active[:n_active]
 
 
 @njit(cache=True)
-def _choose(night, fields, visits, rules, state, candidate, active, until, now, readout, previous):
+def _choose(night, fields, visits, rules, state, weight, candidate, active, until, now, readout, previous):
     """Tile to observe now, and slew, configuration and start of its exposure, s; tile -1 if none can be.
 
     `until` (2, n_survey, n_minute): ends of the runs of minutes that a survey at least fills, and takes; `previous`:
@@ -296,7 +340,7 @@ def _choose(night, fields, visits, rules, state, candidate, active, until, now, 
         survey = fields.survey[tile]
         ha = wrap(sidereal - fields.ra_rad[tile])
         window = fields.window_rad[tile]
-        if visit < 0 or ha > window:
+        if ha > window:
             continue
         slew = 0.0
         if tile != previous_tile:
@@ -309,12 +353,12 @@ def _choose(night, fields, visits, rules, state, candidate, active, until, now, 
         if end > end_s or ha_start < -window or ha_end > window:
             continue
         minute = int(start / MINUTE_S)
-        level = TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else 0
-        if level == 0 or level < best_level:
+        level = TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else NONE
+        if level == NONE or level < best_level:
             continue
         cos_ha = np.cos(0.5 * (ha_start + ha_end))
         sin_alt = sin_lat * np.sin(fields.dec_rad[tile]) + cos_lat * np.cos(fields.dec_rad[tile]) * cos_ha
-        worth = visit_worth(state, visit, night.weight) * rules.survey_weight[survey] * fields.urgency[tile]
+        worth = visit_worth(state, visit, weight) * rules.survey_weight[survey] * fields.pressure[tile]
         score = worth * (fields.min_airmass[tile] * sin_alt) ** rules.airmass_power / (end - now)
         if score <= 0.0 or (level == best_level and score <= best_score):
             continue
@@ -330,11 +374,11 @@ def _choose(night, fields, visits, rules, state, candidate, active, until, now, 
 
 @njit(cache=True)
 def observe_night(night, fields, visits, targets, rules, state, log):
-    """Observe one night; gives the number of pointings written to `log` (n_log, 8), or -1 if they do not fit.
+    """Observe one night; gives the number of pointings written to `log` (enough rows, N_LOG).
 
     At every moment of clear sky the visit of greatest
 
-        worth x urgency x (least airmass / airmass)^power / (overhead + exposure)
+        worth x pressure x (least airmass / airmass)^power / (overhead + exposure)
 
     is observed, among the visits that fit wholly into the survey's time, the field's window and its distance from the
     Moon; time that a survey takes goes before time that it only fills. Equal visits: the first in order. Times are
@@ -344,7 +388,11 @@ def observe_night(night, fields, visits, targets, rules, state, log):
     until = np.zeros((2, len(rules.calibration_s), n_minute))
     _ends_of_runs(night.level, FILLS, until[0])
     _ends_of_runs(night.level, TAKES, until[1])
-    candidate, active = _offers(night, fields, visits, rules, state)
+    candidate = np.full(len(fields.survey), -1, dtype=np.int64)
+    is_stale = np.ones(len(fields.survey), dtype=np.bool_)
+    weight = np.empty(len(rules.n_enough))
+    update_weights(rules, state, weight)
+    active = _offer(fields, visits, rules, state, weight, is_stale, candidate)
     now, read_out_s, previous, n_log = 0.0, 0.0, -1, 0
     while now < n_minute * MINUTE_S and len(active):
         if night.is_cloudy[int(now / MINUTE_S)]:
@@ -352,13 +400,11 @@ def observe_night(night, fields, visits, targets, rules, state, log):
             continue
         readout = max(0.0, read_out_s - now)
         tile, slew, configuration, start = _choose(
-            night, fields, visits, rules, state, candidate, active, until, now, readout, previous
+            night, fields, visits, rules, state, weight, candidate, active, until, now, readout, previous
         )
         if tile < 0:
             now += rules.idle_step_s
             continue
-        if n_log == len(log):
-            return -1
         visit = candidate[tile]
         end = start + visits.exposure_s[visit]
         stop = _first_cloud(night.is_cloudy, now, end)
@@ -368,7 +414,7 @@ def observe_night(night, fields, visits, targets, rules, state, log):
         log[n_log, LOG_SLEW] = slew
         log[n_log, LOG_CONFIGURATION] = configuration
         log[n_log, LOG_READOUT] = readout
-        log[n_log, LOG_EXPOSURE] = max(0.0, stop - start)
+        log[n_log, LOG_EXPOSURE] = visits.exposure_s[visit] if status == OBSERVED else max(0.0, stop - start)
         log[n_log, LOG_STATUS] = status
         log[n_log, LOG_OVERHEAD] = min(stop, start) - now
         n_log += 1
@@ -376,8 +422,11 @@ def observe_night(night, fields, visits, targets, rules, state, log):
         if status != NOT_STARTED:
             read_out_s = stop + rules.readout_s
         if status == OBSERVED:
-            credit(visits, targets, state, visit, night.number, rules.success_frac, rules.success_key)
+            credit(visits, targets, state, visit, night.number, rules.success_frac, rules.success_key, is_stale)
             if visit == state.next_visit[tile]:
                 state.next_visit[tile] += 1
-            candidate[tile] = next_candidate(fields, visits, state, tile, night.weight, rules.repeat_min_frac)
+            is_stale[tile] = True
+            if update_weights(rules, state, weight):
+                is_stale[:] = True
+            active = _offer(fields, visits, rules, state, weight, is_stale, candidate)
     return n_log

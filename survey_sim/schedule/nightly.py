@@ -3,17 +3,16 @@
 What is observed next is what would be lost by waiting. At every moment of clear sky each tile offers its next visit,
 and the one of greatest
 
-    worth x urgency x (least airmass / airmass)^p / time
+    worth x pressure x (least airmass / airmass)^p / time
 
-goes: worth, the targets it brings one visit nearer (each counts 1 until its programme has the completeness wanted,
-then little); time, what the telescope pays for it, overhead and exposure; airmass at mid-exposure against the least
-that the field ever has. Urgency is the look-ahead: P / (1 + P), where P is the pressure on the time in which the
-field can still be observed: hours wanted / hours left, over the bins of sidereal time and sky state that are open to
-it, from tonight to the last night, less the mean weather loss, shared with all other fields that want the same bins.
-P / (1 + P) is small for a field that can wait, and 1 for one that most likely loses what it does not get now; so
-fields with short or crowded seasons go first, and where there is not time enough for all, the richest visits do.
+goes. Worth: the parts of targets that the visit gains; a target that still wants n visits counts 1/n, so that what is begun
+is finished, and little once its programme has the completeness wanted. Time: what the telescope pays for it, overhead and
+exposure. Airmass: at mid-exposure, against the least that the field ever has. Pressure is the look-ahead: hours wanted /
+hours left in which the field can still be observed, over the bins of sidereal time and sky state that are open to it, from
+tonight to the last night, shared with all other fields that want the same bins. So fields with short or crowded seasons go
+first, and where there is not time enough for all, the richest visits do.
 
-It is greedy within the night, deterministic, and knows nothing of the weather to come.
+Greedy within the night, deterministic, and without knowledge of the weather to come.
 """
 
 from collections.abc import Sequence
@@ -23,12 +22,13 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
+from survey_sim.errors import InputError, did_you_mean
 from survey_sim.schedule import kernels
 from survey_sim.schedule.ephemeris import make_ephemeris
 from survey_sim.schedule.fields import LookAhead, make_fields
-from survey_sim.schedule.kernels import Rules, State, observe_night
+from survey_sim.schedule.kernels import Rules, observe_night
 from survey_sim.schedule.problem import Problem, initial_state, make_problem
-from survey_sim.schedule.settings import Programme, ScheduleSettings
+from survey_sim.schedule.settings import SURVEY_RULES, Programme, ScheduleSettings, SurveyRule
 from survey_sim.schedule.sky import make_nights
 from survey_sim.schedule.status import exposures_table, find_warnings, nights_table, target_status_table
 from survey_sim.schedule.weather import make_weather
@@ -37,8 +37,6 @@ FloatArray = npt.NDArray[np.float64]
 
 # Key of the targets' successes among the streams of a run.
 _STREAM_SUCCESS = 2
-# More pointings than any night can hold are a fault of the settings: 16 h of one every 10 s.
-_MAX_POINTINGS = 6_000
 
 
 @dataclass(frozen=True)
@@ -91,24 +89,25 @@ def make_schedule(
     on the list with its robots in place. Targets of a good exposure succeed by `settings.success_frac`; those that
     fail bring their visits back, see `repeat_min_frac`.
     """
+    _check_names(programmes, settings)
     is_routed = settings.configuration_s == "routed"
     problem = make_problem(visits, paths, tiles, targets, holdings, programmes, is_routed=is_routed)
-    surveys = [settings.rule(survey) for survey in problem.surveys]
+    rules = [settings.rule(survey) for survey in problem.surveys]
     ephemeris = make_ephemeris(settings.site, settings.start_date, settings.end_date)
     is_cloudy = make_weather(settings.start_date, settings.n_night, settings.weather, seed)
-    nights = make_nights(ephemeris, is_cloudy, surveys, settings)
-    look_ahead = LookAhead.of(problem, ephemeris, nights, surveys, settings)
-    rules = _rules(problem, settings, seed)
+    nights = make_nights(ephemeris, is_cloudy, rules, settings)
+    look_ahead = LookAhead.of(problem, ephemeris, nights, rules, settings)
+    numbers = _numbers(problem, rules, settings, seed)
     state = initial_state(problem)
-    log = np.empty((_MAX_POINTINGS, kernels.N_LOG))
+    shortest_s = min((programme.exposure_s for programme in problem.programmes), default=kernels.DAY_S)
+    log = np.empty((int(kernels.DAY_S / shortest_s) + kernels.MAX_CUT_SHORT, kernels.N_LOG))
     logs, complete = [], np.zeros((len(nights), len(problem.programmes)), dtype=np.int64)
     for number, night in enumerate(nights):
         n_log = 0
         if not night.is_engineering:
-            weight = _weights(problem, state, settings)
-            fields = make_fields(problem, ephemeris, night, surveys, look_ahead.urgency(number, state, weight))
-            sky = kernels.Night(number, night.sidereal_rad, night.level, night.moon, night.is_cloudy, weight)
-            n_log = observe_night(sky, fields, problem.visits, problem.targets, rules, state, log)
+            fields = make_fields(problem, ephemeris, night, rules, look_ahead.pressure(number, state, numbers))
+            sky = kernels.Night(number, night.sidereal_rad, night.level, night.moon, night.is_cloudy)
+            n_log = observe_night(sky, fields, problem.visits, problem.targets, numbers, state, log)
         logs.append(log[:n_log].copy())
         complete[number] = state.n_complete
     return Schedule(
@@ -119,23 +118,30 @@ def make_schedule(
     )
 
 
-def _weights(problem: Problem, state: State, settings: ScheduleSettings) -> FloatArray:
-    """(n_programme,) worth of one target-visit tonight: 1 until the programme has the completeness wanted."""
-    wanted = np.array([programme.completeness_wanted_frac for programme in problem.programmes])
-    is_short = state.n_complete < wanted * problem.n_target
-    return np.where(is_short, 1.0, settings.beyond_wanted_weight)
+def _check_names(programmes: Sequence[Programme], settings: ScheduleSettings) -> None:
+    """Rules and probabilities must name surveys and programmes that there are."""
+    surveys = {programme.survey for programme in programmes} | SURVEY_RULES.keys()
+    names = {programme.name for programme in programmes}
+    for key, given, known, what in (
+        ("surveys", settings.surveys, surveys, "survey"),
+        ("success_frac", settings.success_frac, names, "programme"),
+    ):
+        for name in given.keys() - known:
+            raise InputError(f"names no {what}", place=f"schedule.{key}.{name}", remedy=did_you_mean(name, known))
 
 
-def _rules(problem: Problem, settings: ScheduleSettings, seed: int) -> Rules:
-    """Settings as the numbers of the kernels."""
-    surveys = [settings.rule(survey) for survey in problem.surveys]
+def _numbers(problem: Problem, rules: Sequence[SurveyRule], settings: ScheduleSettings, seed: int) -> Rules:
+    """Settings as the kernels want them."""
     stream = np.random.SeedSequence(seed, spawn_key=(_STREAM_SUCCESS,))
-    moon_limit_rad = np.radians([rule.moon_separation_min_deg for rule in surveys])
+    moon_limit_rad = np.radians([rule.moon_separation_min_deg for rule in rules])
+    wanted = np.array([programme.completeness_wanted_frac for programme in problem.programmes])
     return Rules(
-        calibration_s=np.array([rule.calibration_s for rule in surveys], dtype=np.float64),
+        calibration_s=np.array([rule.calibration_s for rule in rules], dtype=np.float64),
         moon_cos_max=np.cos(np.minimum(moon_limit_rad + kernels.MOON_MARGIN_RAD, np.pi)),
-        survey_weight=np.array([rule.weight for rule in surveys], dtype=np.float64),
+        survey_weight=np.array([rule.weight for rule in rules], dtype=np.float64),
         success_frac=np.array([settings.success_frac.get(p.name, 1.0) for p in problem.programmes], dtype=np.float64),
+        n_enough=np.ceil(wanted * problem.n_target - 1e-9).astype(np.int64),
+        beyond_wanted_weight=settings.beyond_wanted_weight,
         readout_s=settings.telescope.readout_s,
         slew_rad_s=float(np.radians(settings.telescope.slew_rate_deg_s)),
         settle_s=settings.telescope.settle_s,

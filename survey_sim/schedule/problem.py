@@ -9,7 +9,7 @@ import polars as pl
 
 from survey_sim.errors import InputError, did_you_mean
 from survey_sim.geometry import unit_vectors
-from survey_sim.schedule.kernels import State, Targets, Visits
+from survey_sim.schedule.kernels import State, Targets, Visits, add_gains
 from survey_sim.schedule.settings import Programme
 from survey_sim.schema import PATHS
 
@@ -118,15 +118,14 @@ def initial_state(problem: Problem) -> State:
     """Nothing observed yet."""
     visits, targets = problem.visits, problem.targets
     n_programme, n_target = len(problem.programmes), len(targets.target_id)
-    held_visit = np.repeat(np.arange(len(visits.tile)), np.diff(visits.first_holding))
-    cell = held_visit * n_programme + targets.programme[visits.target]
-    is_wanted = targets.wanted[visits.target] > 0
-    gain = np.bincount(cell[is_wanted], minlength=len(visits.tile) * n_programme).reshape(-1, n_programme)
+    n_observed = np.zeros(n_target, dtype=np.int64)
+    gain = np.zeros((len(visits.tile), n_programme), dtype=np.int64)
+    add_gains(visits, targets, n_observed, gain)
     complete = np.bincount(targets.programme[targets.wanted == 0], minlength=n_programme)
     return State(
         next_visit=problem.first_visit[:-1].copy(),
-        gain=gain.astype(np.int64),
-        n_observed=np.zeros(n_target, dtype=np.int64),
+        gain=gain,
+        n_observed=n_observed,
         n_tried=np.zeros(n_target, dtype=np.int64),
         first_night=np.full(n_target, -1, dtype=np.int64),
         last_night=np.full(n_target, -1, dtype=np.int64),

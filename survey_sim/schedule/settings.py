@@ -129,8 +129,8 @@ class ScheduleSettings(Settings):
     repeat_min_frac: Frac = 0.2
     # Worth of a target-visit once its programme has the completeness wanted (assumed); 0: the programme stops there.
     beyond_wanted_weight: Frac = 0.1
-    # Worth falls as (least airmass of the field / airmass)^airmass_power (measured: see the docs).
-    airmass_power: float = Field(default=2.0, ge=0)
+    # Worth falls as (least airmass of the field / airmass)^airmass_power (measured: docs/schedule.md).
+    airmass_power: float = Field(default=1.0, ge=0)
     # Look ahead at each field's time left and its competition; without, the richest visit goes first.
     is_looking_ahead: bool = True
     # With no field to observe, look again after so long, s (assumed).

@@ -7,7 +7,8 @@ from datetime import timedelta
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.schedule.ephemeris import SIDEREAL_RATE, Ephemeris
+from survey_sim.schedule.ephemeris import Ephemeris
+from survey_sim.schedule.kernels import FILLS, MINUTE_S, NONE, SIDEREAL_RATE, TAKES
 from survey_sim.schedule.settings import ASTRONOMICAL_TWILIGHT_DEG, SKY_STATES, Moonlight, ScheduleSettings, SurveyRule
 from survey_sim.schedule.weather import STEP_S
 
@@ -16,11 +17,8 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 ByteArray = npt.NDArray[np.uint8]
 
-MINUTE_S = 60.0
 _N_MINUTE_DAY = 1_440
 _DARK, _GREY, _BRIGHT, _TWILIGHT = range(len(SKY_STATES))
-# Levels of a survey's right to a minute.
-NONE, FILLS, TAKES = 0, 1, 2
 # Bins of local sidereal time in which time is counted ahead.
 N_LST_BIN = 24
 
@@ -44,7 +42,7 @@ class Night:
     level
         (n_survey, n) right of each survey to the minute: NONE, FILLS, TAKES; the lesser of its two ends'.
     moon
-        (n + 1, 3) unit vectors to the Moon from the site, of date, at the ends of the minutes; zero while it is down.
+        (n + 1, 3) unit vectors to the Moon from the site, of date, at the ends of the minutes; NaN while it is down.
     is_cloudy
         (n,) cloud.
     dark_s, lost_s
@@ -128,7 +126,7 @@ def _make_night(
         to_date=to_date,
         state=state[:-1],
         level=np.ascontiguousarray(np.minimum(level[:, :-1], level[:, 1:])),
-        moon=np.where((moon_alt_deg > settings.moonlight.up_alt_deg)[:, None], moon, 0.0),
+        moon=np.where((moon_alt_deg > settings.moonlight.up_alt_deg)[:, None], moon, np.nan),
         is_cloudy=is_cloudy[first:end],
         dark_s=float(dark_minutes_s.sum()),
         lost_s=float(dark_minutes_s[is_cloudy].sum()),

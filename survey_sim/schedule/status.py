@@ -17,7 +17,6 @@ from survey_sim.tables import conform
 
 FloatArray = npt.NDArray[np.float64]
 
-_DAY_S = 86_400.0
 # How an exposure went, in the order of the kernels' codes.
 EXPOSURE_STATUS = ("observed", "interrupted", "not-started")
 # Why a target is not complete; a later one goes before an earlier one.
@@ -144,9 +143,9 @@ def _sky_of_log(problem: Problem, ephemeris: Ephemeris, night: Night, log: Float
     """(n, 4) start (MJD), airmass, altitude of the Moon and its distance (deg) of a night's pointings, at mid-exposure."""
     if not len(log):
         return np.empty((0, 4))
-    start_mjd = night.start_mjd + log[:, kernels.LOG_START] / _DAY_S
-    mjd = start_mjd + 0.5 * log[:, kernels.LOG_EXPOSURE] / _DAY_S
-    sidereal_rad = night.sidereal_rad + kernels.SIDEREAL_RAD_S * _DAY_S * (mjd - night.start_mjd)
+    start_mjd = night.start_mjd + log[:, kernels.LOG_START] / kernels.DAY_S
+    mjd = start_mjd + 0.5 * log[:, kernels.LOG_EXPOSURE] / kernels.DAY_S
+    sidereal_rad = night.sidereal_rad + kernels.SIDEREAL_RAD_S * kernels.DAY_S * (mjd - night.start_mjd)
     tile = problem.visits.tile[log[:, kernels.LOG_VISIT].astype(np.int64)]
     direction = ephemeris.directions(problem.tile_icrs[tile], night.evening_mjd + 0.5)
     moon = ephemeris.moon(mjd, sidereal_rad, night.to_date)
