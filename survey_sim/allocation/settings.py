@@ -1,9 +1,10 @@
 """What a scientist may change about the allocation, and the reasons it gives."""
 
 from enum import IntEnum
+from itertools import pairwise
 from typing import Literal, get_args
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from survey_sim.settings import Settings
 
@@ -57,3 +58,19 @@ class AllocationSettings(Settings):
     delay_worth_mm: float = Field(5.0, ge=0)
     # `plan`: length of its searches, as a multiple of the usual one.
     effort: float = Field(1.0, gt=0)
+    # Ranges of magnitude of which one exposure serves one, bright end included, faint end not; they may overlap. The first
+    # has all brighter targets too, the last all fainter ones. Empty: any visit may hold any target.
+    # TAIPAN's tiling code, for FunnelWeb: 5 to 8, 7 to 10, 9 to 12.
+    mag_ranges: tuple[tuple[float, float], ...] = ()
+    # Upper bound of completeness given beside every visit: "linear" is tight and slow, "fast" loose.
+    bound: Literal["none", "fast", "linear"] = "fast"
+
+    @field_validator("mag_ranges")
+    @classmethod
+    def _ranges_ascend(cls, ranges: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if any(bright >= faint for bright, faint in ranges):
+            raise ValueError("each range is [bright, faint], the smaller magnitude first")
+        for before, after in pairwise(ranges):
+            if not (before[0] < after[0] <= before[1] < after[1]):
+                raise ValueError(f"ranges go from bright to faint without a gap, unlike {list(before)}, {list(after)}")
+        return ranges

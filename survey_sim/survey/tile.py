@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 from zlib import crc32
 
@@ -14,12 +14,11 @@ from survey_sim.allocation import (
     AllocationSettings,
     FieldTargets,
     LostReason,
-    VisitAllocation,
+    completeness_bound,
     crossings,
     ideal_completeness,
     start_allocation,
 )
-from survey_sim.allocation.session import Session
 from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.motion import Legs
@@ -95,37 +94,128 @@ def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:
     -------
         A frame for each of `TILE_TABLES`.
     """
-    field = _field(job)
-    session = start_allocation(field, job.plate, job.allocation, _stream(job, "allocation"))
     rows = {table: Rows(table) for table in TILE_TABLES}
-    park = State(job.plate.park_mm, np.zeros(job.plate.n_robot))
-    state = park
-    ideal: FloatArray = np.empty(0)
+    tile = _Tile(job, _field(job))
+    state = tile.park
+    for number, group in enumerate(magnitude_groups(tile.field, job.allocation.mag_ranges)):
+        state = _visit_group(tile, group, number, state, rows)
+    _note_unallocated(rows["unallocated"], tile)
+    return {table: gathered.frame() for table, gathered in rows.items()}
+
+
+@dataclass
+class _Tile:
+    """What is known of a tile while its visits go on.
+
+    Attributes
+    ----------
+    n_done
+        (n_target,) visits in which a robot reached the target.
+    reason
+        (n_target,) `LostReason` of the last visits that could have held the target.
+    n_visit
+        Visits so far.
+    """
+
+    job: TileJob
+    field: FieldTargets
+    n_visit: int = 0
+
+    def __post_init__(self) -> None:
+        self.n_done = np.zeros(self.field.n_target, dtype=np.int64)
+        self.reason = np.zeros(self.field.n_target, dtype=np.int8)
+        self.park = State(self.job.plate.park_mm, np.zeros(self.job.plate.n_robot))
+        self._ideal: FloatArray = np.empty(0)
+
+    @property
+    def completeness_frac(self) -> float:
+        """Science targets with all their visits / all science targets of the tile; 1 if there are none."""
+        is_science = self.field.is_science
+        n_complete = (is_science & (self.n_done >= self.field.wanted_visits)).sum()
+        return float(n_complete / is_science.sum()) if is_science.any() else 1.0
+
+    def ideal_frac(self) -> float:
+        """The same for an ideal positioner after as many visits."""
+        if self.n_visit > len(self._ideal):
+            self._ideal = ideal_completeness(self.field, self.job.plate, 2 * self.n_visit + 8)
+        return float(self._ideal[self.n_visit - 1])
+
+    def bound_frac(self) -> float:
+        """Upper bound for any allocation after as many visits; NaN if it is not wanted."""
+        if self.job.allocation.bound == "none":
+            return np.nan
+        return completeness_bound(self.field, self.job.plate, self.n_visit, method=self.job.allocation.bound)
+
+
+def magnitude_groups(
+    field: FieldTargets, ranges: tuple[tuple[float, float], ...]
+) -> Iterator[tuple[np.ndarray, FieldTargets]]:
+    """Targets that one exposure can serve together, range after range.
+
+    A science target stands in each range that has its magnitude. Only its last range must complete it: before, it may fill
+    fibres that would be idle, so it counts for no programme there and has the lowest priority.
+
+    Returns
+    -------
+        Places in `field`, and the targets there; targets without a magnitude, and the other kinds, stand in every group.
+    """
+    if not ranges:
+        yield np.arange(field.n_target), field
+        return
+    bright = [-np.inf, *(low for low, _ in ranges[1:])]
+    faint = [*(high for _, high in ranges[:-1]), np.inf]
+    has_no_range = ~field.is_science | np.isnan(field.mag)
+    for number in range(len(ranges)):
+        chosen = np.flatnonzero(has_no_range | ((field.mag >= bright[number]) & (field.mag < faint[number])))
+        next_bright = bright[number + 1] if number + 1 < len(ranges) else np.inf
+        is_last = (field.mag[chosen] < next_bright) | (next_bright == np.inf)
+        yield chosen, _chosen(field, chosen, is_filler=field.is_science[chosen] & ~is_last)
+
+
+def _chosen(field: FieldTargets, chosen: np.ndarray, *, is_filler: np.ndarray) -> FieldTargets:
+    """The targets at these places; fillers have the lowest priority and no programme."""
+    per_target = {
+        column.name: getattr(field, column.name)[chosen]
+        for column in fields(FieldTargets)
+        if column.name not in ("programmes", "wanted_frac")
+    }
+    per_target["priority"] = np.where(is_filler, 1, per_target["priority"])
+    per_target["programme"] = np.where(is_filler, -1, per_target["programme"])
+    return replace(field, **per_target)
+
+
+def _visit_group(
+    tile: _Tile, group: tuple[np.ndarray, FieldTargets], number: int, state: State, rows: Mapping[str, Rows]
+) -> State:
+    """All visits of one magnitude range, from where the robots stand; gives where they end."""
+    job, (chosen, field) = tile.job, group
+    rng = _stream(job, "allocation", number)
+    session = start_allocation(field, job.plate, job.allocation, rng, n_done=tile.n_done[chosen])
     visit = session.next_visit(state.position_mm)
     while visit is not None:
-        keys = {"survey": job.survey, "tile_id": job.tile_id, "visit_id": visit.visit_id}
-        start = park if visit.start == "park" else state
+        keys = {"survey": job.survey, "tile_id": job.tile_id, "visit_id": tile.n_visit}
+        start = tile.park if visit.start == "park" else state
         to_target = _route(job, keys, "start_to_target", start, visit.goal_mm, rows)
         end = State(to_target[0].end_mm, to_target[0].end_theta_deg)
         _route(job, keys, "start_to_park", state, _parked(job.plate, state), rows)
-        _route(job, keys, "park_to_target", park, end.position_mm, rows)
+        _route(job, keys, "park_to_target", tile.park, end.position_mm, rows)
         is_arrived = to_target[0].reason == UnroutedReason.ARRIVED
         session.record(visit, is_arrived)
-        if visit.visit_id >= len(ideal):
-            ideal = ideal_completeness(field, job.plate, 2 * visit.visit_id + 8)
-        held = np.where(is_arrived, visit.target, -1)
-        _note_allocations(rows["allocations"], keys, job.plate, field, held, start, end)
-        _note_visit(rows["visits"], keys, job, session, visit, held, start, to_target, ideal[visit.visit_id])
+        tile.n_done[chosen] = session.n_done
+        tile.n_visit += 1
+        held = np.where(is_arrived & (visit.target >= 0), chosen[visit.target], -1)
+        _note_allocations(rows["allocations"], keys, job.plate, tile.field, held, start, end)
+        _note_visit(rows["visits"], keys, tile, visit.start, held, start, to_target)
         state = end
         visit = session.next_visit(state.position_mm)
-    _note_unallocated(rows["unallocated"], job, session)
-    return {table: gathered.frame() for table, gathered in rows.items()}
+    tile.reason[chosen] = session.lost_reasons()
+    return state
 
 
 def stream(seed: int, stage: str, *keys: str | int) -> np.random.Generator:
     """Random stream of a stage at a place of the survey: it depends on nothing else, so on no worker and no order."""
     words = [crc32(key.encode()) if isinstance(key, str) else key for key in (stage, *keys)]
-    return np.random.default_rng(np.random.SeedSequence([seed, *words]))
+    return np.random.default_rng(np.random.SeedSequence([seed, len(words), *words]))
 
 
 def _stream(job: TileJob, stage: str, *keys: str | int) -> np.random.Generator:
@@ -228,15 +318,13 @@ def _note_allocations(
 def _note_visit(
     rows: Rows,
     keys: Mapping[str, Any],
-    job: TileJob,
-    session: Session,
-    visit: VisitAllocation,
+    tile: _Tile,
+    begins: str,
     held: np.ndarray,
     start: State,
     to_target: tuple[RoutedPath, SimulatedPath],
-    ideal_frac: float,
 ) -> None:
-    field, (routed, played) = session.field.targets, to_target
+    field, (routed, played) = tile.field, to_target
     kind = field.kind[held[held >= 0]]
     number = dict(zip(TARGET_KINDS, np.bincount(kind, minlength=len(TARGET_KINDS)), strict=True))
     mag = field.mag[held[held >= 0]][kind == TARGET_KINDS.index("science")]
@@ -246,17 +334,17 @@ def _note_visit(
     rows.add(
         1,
         **keys,
-        start=visit.start,
-        mag_bright=mag.min(initial=np.inf) if len(mag) else np.nan,
-        mag_faint=mag.max(initial=-np.inf) if len(mag) else np.nan,
+        start=begins,
+        mag_bright=mag.min() if len(mag) else np.nan,
+        mag_faint=mag.max() if len(mag) else np.nan,
         n_science=number["science"],
         n_standard=number["standard"],
         n_sky=number["sky"],
         n_guide=number["guide"],
-        n_idle=int((job.plate.is_live & (held < 0)).sum()),
-        completeness_frac=session.completeness_frac,
-        ideal_completeness_frac=ideal_frac,
-        completeness_bound_frac=np.nan,
+        n_idle=int((tile.job.plate.is_live & (held < 0)).sum()),
+        completeness_frac=tile.completeness_frac,
+        ideal_completeness_frac=tile.ideal_frac(),
+        completeness_bound_frac=tile.bound_frac(),
         travel_mean_mm=travel.mean() if len(travel) else 0.0,
         travel_p95_mm=travel[int(np.ceil(0.95 * len(travel) - 1e-9)) - 1] if len(travel) else 0.0,
         travel_max_mm=travel[-1] if len(travel) else 0.0,
@@ -270,14 +358,16 @@ def _note_visit(
     )
 
 
-def _note_unallocated(rows: Rows, job: TileJob, session: Session) -> None:
-    reason = session.lost_reasons()
-    lost = np.flatnonzero(reason != LostReason.NONE)
+def _note_unallocated(rows: Rows, tile: _Tile) -> None:
+    """Science targets that are not complete, and why."""
+    field = tile.field
+    lost = np.flatnonzero(field.is_science & (tile.n_done < field.wanted_visits))
+    labels = np.array([LostReason(code).label for code in range(len(LostReason))], dtype=object)
     rows.add(
         len(lost),
-        survey=job.survey,
-        tile_id=job.tile_id,
-        target_id=session.field.targets.target_id[lost],
-        n_allocated=session.n_done[lost],
-        reason=np.array([LostReason(code).label for code in reason[lost]], dtype=object),
+        survey=tile.job.survey,
+        tile_id=tile.job.tile_id,
+        target_id=field.target_id[lost],
+        n_allocated=tile.n_done[lost],
+        reason=labels[tile.reason[lost]],
     )

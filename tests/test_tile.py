@@ -1,0 +1,115 @@
+"""One tile: what its visits hold, what is noted, and magnitude ranges."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from survey_sim.allocation import AllocationSettings, FieldTargets
+from survey_sim.errors import InputError
+from survey_sim.geometry import plate_to_sky
+from survey_sim.instrument import load_instrument, make_plate
+from survey_sim.routing import RoutingSettings
+from survey_sim.survey.tile import TileJob, magnitude_groups, simulate_tile, stream
+
+CENTRE = (150.0, -30.0)
+RANGES = ((5.0, 8.0), (7.0, 10.0), (9.0, 12.0))
+
+
+def _job(n_science: int, **allocation: object) -> TileJob:
+    """A tile of uniform targets, magnitudes 5 to 12."""
+    rng = np.random.default_rng(3)
+    n = n_science + 100
+    radius, angle = 163.0 * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+    sky = plate_to_sky(np.column_stack([radius * np.cos(angle), radius * np.sin(angle)]), CENTRE, 67.2)
+    is_science = np.arange(n) < n_science
+    targets = pl.DataFrame(
+        {
+            "target_id": np.arange(n),
+            "kind": np.where(is_science, "science", "sky").tolist(),
+            "programme": ["stars"] * n_science + [None] * 100,
+            "ra_deg": sky[:, 0],
+            "dec_deg": sky[:, 1],
+            "mag": (5.0 + 7.0 * np.sqrt(rng.random(n))).tolist(),
+            "priority": 5,
+            "wanted_visits": is_science.astype(int),
+        }
+    )
+    targets = targets.with_columns(mag=pl.when(pl.col("kind") == "science").then("mag"))
+    return TileJob(
+        survey="stars",
+        tile_id=4,
+        centre_deg=CENTRE,
+        targets=targets,
+        wanted_frac={"stars": 0.9},
+        plate=make_plate(load_instrument("taipan-150")),
+        allocation=AllocationSettings.load({"algorithm": "matching", **allocation}),
+        routing=RoutingSettings(router="simple-vector"),
+        seed=1,
+    )
+
+
+def test_a_visit_holds_one_magnitude_range() -> None:
+    made = simulate_tile(_job(400, mag_ranges=RANGES))
+    visits = made["visits"]
+    is_in_one = [
+        any(low <= bright and faint < high for low, high in RANGES)
+        for bright, faint in visits.select("mag_bright", "mag_faint").iter_rows()
+    ]
+    assert all(is_in_one)
+    assert visits["mag_bright"].max() >= 9.0
+    assert visits["completeness_frac"].is_sorted()
+    assert visits["completeness_frac"][-1] >= 0.88
+    assert visits["visit_id"].to_list() == list(range(len(visits)))
+
+
+def test_overlapping_targets_fill_earlier_ranges_and_are_completed_by_the_last() -> None:
+    mag = np.array([4.0, 6.0, 7.5, 8.5, 9.5, 11.0, 13.0, np.nan])
+    n = len(mag)
+    field = FieldTargets.from_table(
+        pl.DataFrame({"target_id": np.arange(n), "x_mm": np.arange(n) * 20.0, "y_mm": 0.0, "mag": mag, "priority": 7})
+    )
+    groups = list(magnitude_groups(field, RANGES))
+    assert [chosen.tolist() for chosen, _ in groups] == [[0, 1, 2, 7], [2, 3, 4, 7], [4, 5, 6, 7]]
+    is_filler = [(targets.programme < 0).tolist() for _, targets in groups]
+    assert is_filler == [[False, False, True, True], [False, False, True, True], [False] * 4]
+    assert groups[0][1].priority.tolist() == [7, 7, 1, 1]
+
+
+def test_without_ranges_there_is_one_group() -> None:
+    field = FieldTargets.from_table(pl.DataFrame({"target_id": [1], "x_mm": [0.0], "y_mm": [0.0]}))
+    assert [chosen.tolist() for chosen, _ in magnitude_groups(field, ())] == [[0]]
+
+
+@pytest.mark.parametrize("ranges", [[[8.0, 5.0]], [[5.0, 8.0], [8.5, 10.0]], [[5.0, 8.0], [4.0, 10.0]]])
+def test_ranges_that_leave_a_gap_are_refused(ranges: list) -> None:
+    with pytest.raises(InputError, match="mag_ranges"):
+        AllocationSettings.load({"mag_ranges": ranges})
+
+
+@pytest.mark.parametrize("bound", ["fast", "linear"])
+def test_the_bound_stands_beside_every_visit_and_holds(bound: str) -> None:
+    visits = simulate_tile(_job(200, bound=bound))["visits"]
+    assert (visits["completeness_frac"] <= visits["completeness_bound_frac"] + 1e-12).all()
+    assert simulate_tile(_job(20, bound="none"))["visits"]["completeness_bound_frac"].is_null().all()
+
+
+def test_a_tile_without_targets_has_no_visit() -> None:
+    job = _job(10)
+    empty = replace(job, targets=job.targets.filter(pl.col("kind") == "sky"))
+    assert all(frame.is_empty() for frame in simulate_tile(empty).values())
+
+
+def test_every_lost_target_has_a_reason() -> None:
+    made = simulate_tile(_job(300, visits=1))
+    n_observed = made["visits"]["n_science"].sum()
+    assert len(made["unallocated"]) == 300 - n_observed
+    assert "none" not in made["unallocated"]["reason"].to_list()
+
+
+def test_random_streams_differ_by_every_key() -> None:
+    keys = [(1, "a", "b", 0), (2, "a", "b", 0), (1, "c", "b", 0), (1, "a", "d", 0), (1, "a", "b", 1), (1, "a", "b")]
+    draws = [stream(seed, stage, *rest).integers(2**62) for seed, stage, *rest in keys]
+    assert len(set(draws)) == len(keys)
+    assert stream(1, "a", "b", 0).integers(2**62) == draws[0]
