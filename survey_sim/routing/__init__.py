@@ -11,6 +11,7 @@ import numpy as np
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, leg_times_s
 from survey_sim.routing.coordinated import route_coordinated
+from survey_sim.routing.prioritised import route_cooperative_astar, route_traffic_light
 from survey_sim.routing.problem import Problem, RoutedPath, RoutingSettings, UnroutedReason, check_problem
 from survey_sim.routing.simple_vector import route_simple_vector
 
@@ -20,6 +21,8 @@ Router = Callable[[Problem, RoutingSettings, np.random.Generator], tuple[Legs, n
 
 ROUTERS: dict[str, Router] = {
     "simple-vector": lambda problem, settings, rng: route_simple_vector(problem),
+    "traffic-light": route_traffic_light,
+    "cooperative-astar": route_cooperative_astar,
     "coordinated": route_coordinated,
 }
 

@@ -41,20 +41,20 @@ def _plan(
     phys, separation = physics(problem), problem.separation_mm
     reason = find_unreachable(problem)
     is_fixed = ~problem.plate.is_live | (reason != UnroutedReason.ARRIVED)
-    plans = _new_plans(problem, is_fixed)
+    plans = new_plans(problem, is_fixed)
     kernels.start_directly(phys, plans, separation, margin)
     if plans.n_conflict.any():
         bound, steps = float(plans.alone.max()), settings.n_repair
         # Idle robots among others that stand too near have nothing to wait for.
         bound = max(bound, 1.0)
-        kept = _new_plans(problem, is_fixed)
+        kept = new_plans(problem, is_fixed)
         while not kernels.coordinate(phys, plans, kept, rng, bound, N_QUICK, steps, N_SAMPLE, separation, margin):
             robot = kernels.ground_worst(plans, separation, margin)
             reason[robot] = UnroutedReason.NO_PATH
             for other in _cascade(problem, plans):
                 kernels.ground(plans, other, kernels.new_shape(kernels.MAX_LEGS), separation, margin)
                 reason[other] = UnroutedReason.DEADLOCK
-    return _legs_of(problem, plans), reason
+    return legs_of(problem, plans), reason
 
 
 def find_unreachable(problem: Problem) -> npt.NDArray[np.int8]:
@@ -102,7 +102,7 @@ def physics(problem: Problem) -> kernels.Physics:
     )
 
 
-def _new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_]) -> kernels.Plans:
+def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], max_legs: int = kernels.MAX_LEGS) -> kernels.Plans:
     """Plans in which nobody moves yet; goals of fixed robots are their starts."""
     goal: FloatArray = np.where(is_fixed[:, None], problem.start_mm, problem.goal_mm)
     return kernels.new_plans(
@@ -113,7 +113,7 @@ def _new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_]) -> kernels.Pla
         problem.plate.patrol_radius_mm,
         ~is_fixed,
         np.where(is_fixed, 0.0, problem.alone_s),
-        kernels.MAX_LEGS,
+        max_legs,
     )
 
 
@@ -131,7 +131,8 @@ def _cascade(problem: Problem, plans: kernels.Plans) -> list[int]:
         stays[joins] = True
 
 
-def _legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
+def legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
+    """Legs of plans."""
     n_leg = plans.n_leg
     robot = np.repeat(np.arange(problem.n_robot), n_leg)
     leg = np.arange(len(robot)) - np.repeat(np.cumsum(n_leg) - n_leg, n_leg)
