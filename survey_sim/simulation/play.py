@@ -25,8 +25,10 @@ class SimulatedPath:
         (n_robot,) each robot's seconds from the start of the path until it comes to rest; 0 for one that does not move.
     end_mm, end_theta_deg
         (n_robot, 2) mm and (n_robot,) deg.
-    configuration_time_s, configuration_time_p95_s, configuration_time_median_s
-        When all, 95 % and half of the robots that move have come to rest.
+    configuration_time_s, configuration_time_p95_s
+        When all, and 95 %, of the robots that move have come to rest.
+    configuration_time_median_s
+        Median of the times at which they do.
     ticks
         Number of ticks.
     collisions
@@ -79,7 +81,7 @@ def simulate(plate: Plate, start_mm: FloatArray, start_theta_deg: FloatArray, le
         end_theta_deg=end_theta,
         configuration_time_s=float(arrival_s.max(initial=0.0)),
         configuration_time_p95_s=_when_at_rest(arrival_s, FILTERED_SHARE),
-        configuration_time_median_s=_when_at_rest(arrival_s, 0.5),
+        configuration_time_median_s=float(np.median(arrival_s)) if len(arrival_s) else 0.0,
         ticks=len(np.unique(legs.start_s)),
         collisions=collisions,
         min_separation_mm=least,
