@@ -70,6 +70,6 @@ def _result(problem: Problem, legs: Legs, reason: np.ndarray) -> RoutedPath:
         reason=reason,
         end_mm=end_mm,
         end_theta_deg=end_theta,
-        lower_bound_s=float(problem.alone_s.max(initial=0.0)),
+        lower_bound_s=float(problem.alone_s[reason == UnroutedReason.ARRIVED].max(initial=0.0)),
         configuration_time_s=float((legs.start_s + rotating + moving).max(initial=0.0)),
     )

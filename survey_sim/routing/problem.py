@@ -66,7 +66,7 @@ class RoutedPath:
     end_mm, end_theta_deg
         (n_robot, 2) mm and (n_robot,) deg, the state at the end; an unrouted robot stays where it starts.
     lower_bound_s
-        When the slowest robot that has to move would arrive alone.
+        When the slowest robot that arrives would do so alone.
     configuration_time_s
         When the last robot comes to rest.
     """
