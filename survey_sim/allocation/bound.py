@@ -1,6 +1,7 @@
 """Upper bounds of completeness: what no allocator of one tile can beat."""
 
-from typing import Literal
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +52,7 @@ def completeness_bound(
     -------
         Complete science targets on the plate / science targets on the plate.
     """
-    field = make_field(targets, plate, AllocationSettings())
+    field = make_field(targets, plate, AllocationSettings.load({}))
     is_counted = targets.is_science & field.is_on_plate
     if not is_counted.any():
         return 1.0
@@ -80,9 +81,9 @@ def _linear(field: Field, chosen: IntArray, missing: IntArray, n_visits: int, n_
     """Complete targets at most, by the linear programme over fibres, cliques, windows and robots in reach."""
     if not len(chosen) or n_fibre <= 0:
         return 0
-    rows, limits = _rank_rows(field, chosen, n_visits)
+    rows, rank = _rank_rows(field, chosen, n_visits)
     ranks = _matrix([*rows, np.arange(len(chosen))], len(chosen))
-    limits = np.array([*limits, n_fibre], dtype=np.float64)
+    limits = np.array([*rank, n_fibre], dtype=np.float64)
     worth = 1.0 / missing
     result = linprog(-worth, A_ub=ranks, b_ub=limits, bounds=np.column_stack([np.zeros(len(chosen)), missing]))
     reach = _reach_matrix(field, chosen)
@@ -112,11 +113,11 @@ def _rank_rows(field: Field, chosen: IntArray, n_visits: int) -> tuple[list[IntA
     xy, separation, first, near = _neighbours(field, chosen)
     rows: dict[tuple[int, ...], int] = {}
     clique_first, member = cliques_by_pair(xy, separation, first, near, n_visits + 1)
-    for begin, end in zip(clique_first[:-1], clique_first[1:], strict=True):
+    for begin, end in pairwise(clique_first):
         rows[tuple(member[begin:end].tolist())] = n_visits
     for radius in WINDOW_RADII:
         window_first, member = windows_within(xy, radius * separation)
-        for begin, end in zip(window_first[:-1], window_first[1:], strict=True):
+        for begin, end in pairwise(window_first):
             if end - begin > n_visits:
                 limit = n_visits * int(most_apart(member[begin:end], xy, separation))
                 if end - begin > limit:
@@ -124,39 +125,39 @@ def _rank_rows(field: Field, chosen: IntArray, n_visits: int) -> tuple[list[IntA
     return [np.array(row, dtype=np.int64) for row in rows], list(rows.values())
 
 
-def _matrix(rows: list[IntArray], n: int) -> sparse.csr_matrix:
+def _matrix(rows: list[IntArray], n: int) -> sparse.csr_array:
     pointer = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     columns = np.concatenate(rows)
-    return sparse.csr_matrix((np.ones(len(columns)), columns, pointer), shape=(len(rows), n))
+    return sparse.csr_array((np.ones(len(columns)), columns, pointer), shape=(len(rows), n))
 
 
-def _reach_matrix(field: Field, chosen: IntArray) -> sparse.csr_matrix:
+def _reach_matrix(field: Field, chosen: IntArray) -> sparse.csr_array:
     """(n_chosen, n_robot) robots in reach."""
     pairs = [field.reach_robot[field.reach_first[t] : field.reach_first[t + 1]] for t in chosen]
     pointer = np.concatenate([[0], np.cumsum([len(robots) for robots in pairs])])
     robots = np.concatenate(pairs)
-    return sparse.csr_matrix((np.ones(len(robots)), robots, pointer), shape=(len(chosen), field.plate.n_robot))
+    return sparse.csr_array((np.ones(len(robots)), robots, pointer), shape=(len(chosen), field.plate.n_robot))
 
 
-def _pair_matrices(reach: sparse.csr_matrix) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+def _pair_matrices(reach: sparse.csr_array) -> tuple[sparse.csr_array, sparse.csr_array]:
     """(n_target, n_pair) and (n_robot, n_pair): the pairs of each target and of each robot."""
-    pairs = sparse.coo_matrix(reach)
+    pairs = sparse.coo_array(reach)
     n_pair = len(pairs.row)
     one, number = np.ones(n_pair), np.arange(n_pair)
     return (
-        sparse.csr_matrix((one, (pairs.row, number)), shape=(reach.shape[0], n_pair)),
-        sparse.csr_matrix((one, (pairs.col, number)), shape=(reach.shape[1], n_pair)),
+        sparse.csr_array((one, (pairs.row, number)), shape=(reach.shape[0], n_pair)),
+        sparse.csr_array((one, (pairs.col, number)), shape=(reach.shape[1], n_pair)),
     )
 
 
-def _can_be_reached(reach: sparse.csr_matrix, fibres: FloatArray, n_visits: int) -> bool:
+def _can_be_reached(reach: sparse.csr_array, fibres: FloatArray, n_visits: int) -> bool:
     """Whether robots in reach can give every target its number of fibres in so many visits (a flow, to a hundredth)."""
     n_target, n_robot = reach.shape
     supply = np.floor(fibres * FLOW_UNIT).astype(np.int32)
-    edges = sparse.coo_matrix(reach)
+    edges = sparse.coo_array(reach)
     source, sink = n_target + n_robot, n_target + n_robot + 1
     tail = np.concatenate([np.full(n_target, source), edges.row, np.arange(n_target, source)])
     head = np.concatenate([np.arange(n_target), edges.col + n_target, np.full(n_robot, sink)])
     width = np.concatenate([supply, supply[edges.row], np.full(n_robot, n_visits * FLOW_UNIT)]).astype(np.int32)
-    graph = sparse.csr_matrix((width, (tail, head)), shape=(sink + 1, sink + 1), dtype=np.int32)
+    graph: Any = sparse.coo_array((width, (tail, head)), shape=(sink + 1, sink + 1)).tocsr()
     return bool(maximum_flow(graph, source, sink).flow_value >= supply.sum())

@@ -1,5 +1,6 @@
 """Kernels of the upper bounds: cliques of targets too close, and how many of a few targets one visit can hold."""
 
+# ruff: noqa: PLR0912
 # mypy: allow-untyped-defs
 
 import numpy as np

@@ -27,7 +27,7 @@ def choose_matching(field: Field, request: VisitRequest) -> IntArray:
     -------
         (n_robot,) target of each robot or -1.
     """
-    is_needed, is_picked = pick_calibration(field, request.is_open)
+    is_needed, is_picked = pick_calibration(field, request.is_open, request.start_mm)
     value = np.where(field.targets.is_science, field.value, 1.0 + field.settings.priority_gain)
     value[is_needed] = NEEDED_VALUE
     is_calibration = (field.targets.kind == STANDARD) | (field.targets.kind == SKY)
@@ -46,8 +46,10 @@ def match(field: Field, start_mm: FloatArray, is_open: BoolArray, is_pair_open: 
     )  # fmt: skip
 
 
-def pick_calibration(field: Field, is_open: BoolArray) -> tuple[BoolArray, BoolArray]:
+def pick_calibration(field: Field, is_open: BoolArray, start_mm: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Standards and sky where they displace the least science, apart from each other, sky first in every plate region.
+
+    Of those that displace as much, the ones nearest to a robot come first.
 
     Returns
     -------
@@ -61,7 +63,9 @@ def pick_calibration(field: Field, is_open: BoolArray) -> tuple[BoolArray, BoolA
 
     def pick(is_candidate: BoolArray, limit: int) -> int:
         candidates = np.flatnonzero(is_candidate & is_served)
-        candidates = candidates[np.argsort(displaced[candidates], kind="stable")]
+        apart = field.xy_mm[candidates, None] - start_mm[None, ~field.plate.is_guide & field.plate.is_live]
+        nearest = (apart**2).sum(axis=2).min(axis=1, initial=np.inf)
+        candidates = candidates[np.lexsort((nearest, displaced[candidates]))]
         return pick_apart(candidates, limit, field.near_first, field.near, is_open, is_picked)
 
     pick(kind == STANDARD, min(settings.min_standard, settings.wanted_standard))
@@ -92,6 +96,7 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
     apart = field.xy_mm[target[pairs]] - request.start_mm[field.reach_robot[pairs]]
     pairs = pairs[np.argsort((apart**2).sum(axis=1), kind="stable")]
     robot, pair_target = field.reach_robot[pairs], target[pairs]
+    n_held = (held >= 0).sum()
 
     def take(chosen: BoolArray, limit: int) -> None:
         take_in_order(
@@ -105,6 +110,8 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
         take(field.sector[pair_target] == region, min(n_missing, settings.min_sky_region - n))
         n_missing = settings.wanted_sky - sky_by_region(field, held).sum()
     take(kind[pair_target] == SKY, n_missing)
+    if (held >= 0).sum() == n_held:
+        return held
     is_held = np.zeros(field.targets.n_target, dtype=bool)
     is_held[held[held >= 0]] = True
     return match(field, request.start_mm, is_held, request.is_pair_open, np.ones(len(is_held)))

@@ -12,8 +12,12 @@ items in which every colour must also be matched to robots. The search for most 
 import numpy as np
 from numba import njit
 
+# Exchanges with a random place, and of tails, that an item tries in a sweep with heat; most sweeps without.
 N_RANDOM = 8
 N_TAIL = 4
+MAX_COLD_SWEEPS = 50
+RANDOM_RANGE = 2.0**31
+# Worth of items that shut a visit for good.
 NEVER = np.int64(1) << 40
 
 
@@ -74,18 +78,19 @@ def _remove(i, value, first, near, weight, visit_of, robot_of, slot, load):
 @njit(cache=True)
 def _insert(
     i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of, slot, load,
-    must_swap, random, queue, parent, is_seen,
+    must_swap, least, random, queue, parent, is_seen,
 ):  # fmt: skip
     """Bring an item into a visit by an augmenting path.
 
     Returns
     -------
-        -1 if a free robot was found; the item put out to make room (the least valuable in the way); -2 if none can be.
+        -1 if a free robot was found; else the item put out to make room: the least valuable in the way, if it is worth no
+        more than `least`; -2 if there is none. `must_swap` takes no free robot.
     """
     is_seen[:] = False
     queue[0] = i
     n_queue, at, end = 1, 0, -1
-    least, out = value[i], -1
+    out = -1
     shift = random
     while at < n_queue and end < 0:
         x = queue[at]
@@ -178,19 +183,30 @@ def cover(
     wish = visit_of.copy()
     visit_of[:] = -1
     robot_of = np.full(n_item, -1, np.int64)
+    # First what can be kept of the old assignment, then the most valuable and most crowded items into the emptiest visits.
+    order = np.argsort(-(value * n_item + (first[1:] - first[:-1])), kind="mergesort")
+    for is_new in range(2):
+        for i in order:
+            if visit_of[i] >= 0 or (not is_new and wish[i] < 0):
+                continue
+            tried = np.zeros(n_visit, np.bool_)
+            while True:
+                v = -1 if is_new else wish[i]
+                for u in range(n_visit if is_new else 0):
+                    if not tried[u] and weight[i, u] == 0 and load[u] < capacity[u] and (v < 0 or load[u] < load[v]):
+                        v = u
+                if v < 0 or tried[v] or weight[i, v] > 0 or load[v] >= capacity[v]:
+                    break
+                tried[v] = True
+                gone = _insert(
+                    i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of,
+                    slot, load, False, -1, _random(state), queue, parent, is_seen,
+                )  # fmt: skip
+                if gone == -1:
+                    total += value[i]
+                    break
     for i in range(n_item):
-        v = wish[i]
-        if v >= 0 and weight[i, v] == 0 and load[v] < capacity[v]:
-            gone = _insert(
-                i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of,
-                slot, load, False, 0, queue, parent, is_seen,
-            )  # fmt: skip
-            if gone != -2:
-                total += value[i]
-            if gone >= 0:
-                total -= value[gone]
-    for i in range(n_item):
-        if visit_of[i] < 0 and reach_first[target[i] + 1] > reach_first[target[i]]:
+        if visit_of[i] < 0 and value[i] > 0 and reach_first[target[i] + 1] > reach_first[target[i]]:
             waiting[n_waiting] = i
             n_waiting += 1
     best, best_visit = total, visit_of.copy()
@@ -237,7 +253,7 @@ def cover(
                     n_waiting += 1
         gone = _insert(
             i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of, slot, load,
-            load[v] >= capacity[v], _random(state), queue, parent, is_seen,
+            load[v] >= capacity[v], value[i], _random(state), queue, parent, is_seen,
         )  # fmt: skip
         if gone == -2:
             waiting[n_waiting] = i
@@ -283,24 +299,51 @@ def sample_within(xy, radius, n_wanted, state):
 
 
 @njit(cache=True)
-def _way_cost(r, slot, xy, start_xy, half_power):
-    """Sum of travel^P of one robot through all visits; where it holds nothing it stays."""
-    cost = 0.0
-    x, y = start_xy[r, 0], start_xy[r, 1]
-    for v in range(slot.shape[0]):
-        i = slot[v, r]
-        if i >= 0:
-            d2 = (xy[i, 0] - x) ** 2 + (xy[i, 1] - y) ** 2
-            cost += d2 * d2 if half_power == 2.0 else d2**half_power
-            x, y = xy[i, 0], xy[i, 1]
-    return cost
+def _chain(r, slot, before, after):
+    """Note for each visit the item that a robot holds before and after it; before the first, its start (n_item + robot)."""
+    n_visit = len(slot)
+    last = before[0, r]
+    for v in range(n_visit):
+        before[v, r] = last
+        if slot[v, r] >= 0:
+            last = slot[v, r]
+    last = -1
+    for v in range(n_visit - 1, -1, -1):
+        after[v, r] = last
+        if slot[v, r] >= 0:
+            last = slot[v, r]
 
 
 @njit(cache=True)
-def _swap_tails(r, s, v, slot):
-    """Exchange all that two robots hold from visit v on."""
-    for w in range(v, slot.shape[0]):
-        slot[w, r], slot[w, s] = slot[w, s], slot[w, r]
+def _move(i, j, xy, half_power):
+    """Cost of the move between two items; none if there is no second."""
+    if j < 0:
+        return 0.0
+    dx, dy = xy[i, 0] - xy[j, 0], xy[i, 1] - xy[j, 1]
+    d2 = dx * dx + dy * dy
+    return d2 * d2 if half_power == 2.0 else d2**half_power
+
+
+@njit(cache=True)
+def _links(i, before, after, xy, half_power):
+    """Cost of a robot's moves to and from item i, or of the one past it if it holds nothing (-1)."""
+    if i < 0:
+        return _move(before, after, xy, half_power)
+    return _move(before, i, xy, half_power) + _move(i, after, xy, half_power)
+
+
+@njit(cache=True)
+def _own_gain(r, v, w, slot, before, xy, half_power):
+    """How much shorter a robot's way is if it changes what it holds in two visits."""
+    gain = 0.0
+    for sign in (1.0, -1.0):
+        last = before[0, r]
+        for u in range(slot.shape[0]):
+            if slot[u, r] >= 0:
+                gain += sign * _move(last, slot[u, r], xy, half_power)
+                last = slot[u, r]
+        slot[v, r], slot[w, r] = slot[w, r], slot[v, r]
+    return gain
 
 
 @njit(cache=True)
@@ -315,157 +358,161 @@ def _can_swap_tails(r, s, v, slot, target, is_in_reach):
 
 @njit(cache=True)
 def _count_near(i, v, by, first, near, n_near):
-    for k in range(first[i], first[i + 1]):
-        n_near[near[k], v] += by
+    """Count item i in visit v (-1 = none) for all items near it."""
+    if v >= 0:
+        for k in range(first[i], first[i + 1]):
+            n_near[near[k], v] += by
 
 
 @njit(cache=True)
 def shorten(
-    n_sweep, hot, cold, half_power, start_xy, xy, separation, value, delay, first, near, target,
+    n_sweep, hot, cold, half_power, start_xy, xy, separation, value, kin, delay, first, near, target,
     reach_first, reach_robot, is_pair_open, is_shut, capacity, candidates, slot, visit_of, robot_of, state,
 ):  # fmt: skip
-    """Exchange items between visits and robots while that shortens the robots' ways through all visits.
+    """Exchange items between visits and robots while that makes the robots' ways through all visits cheaper.
 
-    An item changes places with one near it (in any visit, with any robot, or waiting and worth as much), or goes to
-    another visit of its robot or another robot of its visit that holds nothing there.
+    An item changes places with one of its candidates (which may be waiting, if it is of its kin and worth as much), or with
+    what a robot holds in some visit, be it nothing; or two robots exchange all that they hold from some visit on. Sweeps
+    over all items take losses up to a random part of a heat that falls from hot to cold; then sweeps without heat go on
+    until nothing is gained.
+
+    Parameters
+    ----------
+    n_sweep, hot, cold
+        Sweeps with heat; the first and the last heat, mm^P.
+    half_power, start_xy, xy, separation
+        P / 2; (n_robot, 2) where the robots start and (n_item, 2) the items, mm; mm.
+    value, kin, delay
+        (n_item,) worth; a waiting item may replace one of the same kin (not -1); what each visit later costs, mm^P.
+    first, near, target, reach_first, reach_robot, is_pair_open, is_shut, capacity
+        As in `cover`.
+    candidates
+        (n_item, n_candidate) items to exchange with, or -1.
+    slot, visit_of, robot_of
+        (n_visit, n_robot) item held, (n_item,) visit and robot, -1 for none; changed.
+    state
+        (1,) state of the random stream.
     """
     n_visit, n_robot = slot.shape
-    n_item = len(xy)
+    n_item, n_candidate = candidates.shape
     n_near = np.zeros((n_item, n_visit), np.int32)
     load = np.zeros(n_visit, np.int64)
     for i in range(n_item):
         for v in range(n_visit):
             if is_shut[target[i], v]:
                 n_near[i, v] += 1 << 20
+        _count_near(i, visit_of[i], 1, first, near, n_near)
         if visit_of[i] >= 0:
-            _count_near(i, visit_of[i], 1, first, near, n_near)
             load[visit_of[i]] += 1
     is_in_reach = np.zeros((n_robot, len(reach_first) - 1), np.bool_)
     for t in range(len(reach_first) - 1):
         for p in range(reach_first[t], reach_first[t + 1]):
             is_in_reach[reach_robot[p], t] = is_pair_open[p]
-    way = np.empty(n_robot)
-    for r in range(n_robot):
-        way[r] = _way_cost(r, slot, xy, start_xy, half_power)
+    xy = np.concatenate((xy, start_xy))
+    before, after = np.empty((n_visit, n_robot), np.int64), np.empty((n_visit, n_robot), np.int64)
+    for r in range(n_robot if n_visit else 0):
+        before[0, r] = n_item + r
+        _chain(r, slot, before, after)
     changed = np.zeros(n_robot, np.int64)
-    n_moves = 0
-    for sweep in range(1, n_sweep + 100):
+    least = 1e-9 * hot
+    for sweep in range(1, n_sweep + MAX_COLD_SWEEPS):
         has_changed = False
-        heat = 0.0
-        if sweep <= n_sweep:
-            heat = hot * (cold / hot) ** ((sweep - 1.0) / max(1.0, n_sweep - 1.0))
+        heat = hot * (cold / hot) ** ((sweep - 1.0) / max(1.0, n_sweep - 1.0)) if sweep <= n_sweep else 0.0
         for a in range(n_item):
-            if visit_of[a] < 0 or (heat == 0.0 and sweep > n_sweep + 1 and changed[robot_of[a]] < sweep - 1):
+            if visit_of[a] < 0 or (sweep > n_sweep + 1 and changed[robot_of[a]] < sweep - 1):
                 continue
-            n_reach = reach_first[target[a] + 1] - reach_first[target[a]]
-            n_tries = N_RANDOM if heat > 0.0 else n_reach * n_visit
-            for c in range(candidates.shape[1] + n_visit + n_tries):
+            begin = reach_first[target[a]]
+            n_reach = reach_first[target[a] + 1] - begin
+            n_place = n_reach * n_visit
+            n_tries = n_candidate + n_visit + (N_RANDOM if heat > 0.0 else n_place)
+            for c in range(n_tries):
                 v, r = visit_of[a], robot_of[a]
-                if c < candidates.shape[1]:
+                if c < n_candidate:
                     b = candidates[a, c]
                     if b < 0:
                         continue
                     w, s = visit_of[b], robot_of[b]
-                    if w < 0 and value[b] < value[a]:
-                        continue
-                elif c < candidates.shape[1] + n_visit:
-                    w, s = c - candidates.shape[1], r
-                    b = slot[w, s]
-                    if w == v:
+                    if w < 0 and (value[b] < value[a] or kin[a] != kin[b] or kin[a] < 0):
                         continue
                 else:
-                    t = target[a]
-                    k = c - candidates.shape[1] - n_visit
-                    if heat > 0.0:
-                        k = _random(state) % (n_reach * n_visit)
-                    s = reach_robot[reach_first[t] + k // n_visit]
-                    w = k % n_visit
+                    k = c - n_candidate
+                    if k < n_visit:
+                        w, s = k, r
+                    else:
+                        k = _random(state) % n_place if heat > 0.0 else k - n_visit
+                        w, s = k % n_visit, reach_robot[begin + k // n_visit]
                     b = slot[w, s]
-                    if b == a or (b < 0 and s == r):
-                        continue
+                if b == a or (v == w and r == s):
+                    continue
                 if w != v:
                     if b < 0 and load[w] >= capacity[w]:
                         continue
-                    close = 0
-                    if b >= 0 and (xy[a, 0] - xy[b, 0]) ** 2 + (xy[a, 1] - xy[b, 1]) ** 2 < separation * separation:
-                        close = 1
-                    if w >= 0 and n_near[a, w] - close > 0:
+                    is_close = b >= 0 and (xy[a, 0] - xy[b, 0]) ** 2 + (xy[a, 1] - xy[b, 1]) ** 2 < separation * separation
+                    if w >= 0 and n_near[a, w] > is_close:
                         continue
-                    if b >= 0 and n_near[b, v] - close > 0:
+                    if b >= 0 and n_near[b, v] > is_close:
                         continue
-                if s != r:
-                    if s >= 0 and not is_in_reach[s, target[a]]:
-                        continue
-                    if b >= 0 and not is_in_reach[r, target[b]]:
-                        continue
-                slot[v, r] = b
-                if w >= 0:
-                    slot[w, s] = a
-                new_r = _way_cost(r, slot, xy, start_xy, half_power)
-                gain = way[r] - new_r
-                new_s = 0.0
-                if s >= 0 and s != r:
-                    new_s = _way_cost(s, slot, xy, start_xy, half_power)
-                    gain += way[s] - new_s
+                if s != r and ((s >= 0 and not is_in_reach[s, target[a]]) or (b >= 0 and not is_in_reach[r, target[b]])):
+                    continue
+                if s == r:
+                    gain = _own_gain(r, v, w, slot, before, xy, half_power)
+                else:
+                    p, q = before[v, r], after[v, r]
+                    gain = _links(a, p, q, xy, half_power) - _links(b, p, q, xy, half_power)
+                    if w >= 0:
+                        p, q = before[w, s], after[w, s]
+                        gain += _links(b, p, q, xy, half_power) - _links(a, p, q, xy, half_power)
                 if w >= 0:
                     gain += (v - w) * (delay[a] - (delay[b] if b >= 0 else 0.0))
-                if heat > 0.0 and gain < 0.0:
-                    gain += heat * (_random(state) / 2147483648.0)
-                if gain <= 1e-9 * way[r]:
-                    slot[v, r] = a
-                    if w >= 0:
-                        slot[w, s] = b
+                if gain < 0.0:
+                    gain += heat * (_random(state) / RANDOM_RANGE)
+                if gain <= least:
                     continue
-                way[r] = new_r
-                changed[r] = sweep
-                if s >= 0 and s != r:
-                    way[s] = new_s
-                    changed[s] = sweep
-                if w != v:
-                    _count_near(a, v, -1, first, near, n_near)
-                    if w >= 0:
-                        _count_near(a, w, 1, first, near, n_near)
-                    if b < 0:
-                        load[v] -= 1
-                        load[w] += 1
-                    else:
-                        _count_near(b, v, 1, first, near, n_near)
-                        if w >= 0:
-                            _count_near(b, w, -1, first, near, n_near)
+                slot[v, r] = b
                 visit_of[a], robot_of[a] = w, s
+                if w >= 0:
+                    slot[w, s] = a
+                    _chain(s, slot, before, after)
+                    changed[s] = sweep
+                _chain(r, slot, before, after)
+                changed[r] = sweep
                 if b >= 0:
                     visit_of[b], robot_of[b] = v, r
+                if w != v:
+                    _count_near(a, v, -1, first, near, n_near)
+                    _count_near(a, w, 1, first, near, n_near)
+                    if b >= 0:
+                        _count_near(b, v, 1, first, near, n_near)
+                        _count_near(b, w, -1, first, near, n_near)
+                    else:
+                        load[v] -= 1
+                        load[w] += 1
                 has_changed = True
-                n_moves += 1
                 if w < 0:
                     break
-            v, r, t = visit_of[a], robot_of[a], target[a]
-            if v < 0:
-                continue
-            n_reach = reach_first[t + 1] - reach_first[t]
-            for k in range(n_reach if heat == 0.0 else N_TAIL):
-                s = reach_robot[reach_first[t] + (k if heat == 0.0 else _random(state) % n_reach)]
-                r = robot_of[a]
-                if s == r or not _can_swap_tails(r, s, v, slot, target, is_in_reach):
+            v = visit_of[a]
+            for k in range(0 if v < 0 else (N_TAIL if heat > 0.0 else n_reach)):
+                r, s = robot_of[a], reach_robot[begin + (_random(state) % n_reach if heat > 0.0 else k)]
+                if s == r:
                     continue
-                _swap_tails(r, s, v, slot)
-                new_r = _way_cost(r, slot, xy, start_xy, half_power)
-                new_s = _way_cost(s, slot, xy, start_xy, half_power)
-                gain = way[r] + way[s] - new_r - new_s
-                if heat > 0.0 and gain < 0.0:
-                    gain += heat * (_random(state) / 2147483648.0)
-                if gain <= 1e-9 * way[r]:
-                    _swap_tails(r, s, v, slot)
+                i, j = a, slot[v, s] if slot[v, s] >= 0 else after[v, s]
+                p, q = before[v, r], before[v, s]
+                gain = _move(p, i, xy, half_power) + _move(q, j, xy, half_power)
+                gain -= _move(q, i, xy, half_power) + _move(p, j, xy, half_power)
+                if gain < 0.0:
+                    gain += heat * (_random(state) / RANDOM_RANGE)
+                if gain <= least or not _can_swap_tails(r, s, v, slot, target, is_in_reach):
                     continue
                 for w in range(v, n_visit):
-                    if slot[w, r] >= 0:
-                        robot_of[slot[w, r]] = r
-                    if slot[w, s] >= 0:
-                        robot_of[slot[w, s]] = s
-                way[r], way[s] = new_r, new_s
+                    i, j = slot[w, r], slot[w, s]
+                    slot[w, r], slot[w, s] = j, i
+                    if i >= 0:
+                        robot_of[i] = s
+                    if j >= 0:
+                        robot_of[j] = r
+                _chain(r, slot, before, after)
+                _chain(s, slot, before, after)
                 changed[r] = changed[s] = sweep
                 has_changed = True
-                n_moves += 1
-        if heat == 0.0 and not has_changed:
+        if sweep > n_sweep and not has_changed:
             break
-    return n_moves

@@ -12,11 +12,11 @@ VALUE_UNIT = 1000
 # Moves without improvement that end the search for more targets; chosen on 1,431 clustered targets, as all below.
 N_STEP = 500
 # Rounds of shortening: robots matched anew from visit to visit, then sweeps of exchanges from hot to cold.
-N_ROUND = 2
-N_SWEEP = 12
-HOT_MM, COLD_MM = 25.0, 5.0
-EXCHANGE_RADIUS_MM = 25.0
-N_EXCHANGE = 20
+N_ROUND = 3
+N_SWEEP = 8
+HOT_MM, COLD_MM = 25.0, 8.0
+EXCHANGE_RADIUS_MM = 40.0
+N_EXCHANGE = 10
 # Rounds that give up the targets least begun of those that cannot get all their visits.
 N_GIVE_UP = 4
 
@@ -48,7 +48,8 @@ class Planner:
         held = fill_calibration(field, request, match(field, request.start_mm, is_planned, request.is_pair_open, value))
         if not lacks_calibration(field, held):
             return held
-        is_needed, _ = pick_calibration(field, is_planned | (request.is_open & ~field.targets.is_science & ~is_guide))
+        is_calibration = request.is_open & ~field.targets.is_science & ~is_guide
+        is_needed, _ = pick_calibration(field, is_planned | is_calibration, request.start_mm)
         value[is_needed] = NEEDED_VALUE
         held = match(field, request.start_mm, is_planned | (is_needed & ~is_guide), request.is_pair_open, value)
         return fill_calibration(field, request, held)
@@ -70,13 +71,15 @@ class Planner:
         n_visit = least if settings.visits is None else limit
         visit_of = search.visits_of(old)
         visit_of, guides = search.fill(n_visit, visit_of)
-        while settings.visits is None and n_visit < limit:
-            lack = search.lack(visit_of)
-            if lack <= 0:
+        while settings.visits is None and (lack := search.lack(visit_of)).any():
+            if search.favour(lack > 0):
+                visit_of, guides = search.fill(n_visit, visit_of)
+                lack = search.lack(visit_of)
+            more = min(limit - n_visit, -(-int(lack.sum()) // max(1, search.capacity)))
+            if more <= 0:
                 break
-            more = min(limit - n_visit, max(1, -(-lack // max(1, search.capacity))))
             wider, wider_guides = search.fill(n_visit + more, visit_of)
-            if (wider >= 0).sum() - (visit_of >= 0).sum() < settings.min_gain:
+            if (wider >= 0).sum() <= (visit_of >= 0).sum():
                 break
             n_visit, visit_of, guides = n_visit + more, wider, wider_guides
         visit_of = search.shorten(n_visit, visit_of, guides)
@@ -98,7 +101,9 @@ class _Search:
         copies = np.where(is_served & targets.is_science, request.missing, 0)
         self.item_target, self.near_first, self.near = make_items(copies, field.near_first, field.near)
         self.copies = copies
-        self.value = np.round(field.value[self.item_target] * VALUE_UNIT).astype(np.int64)
+        # A target counts when it is complete: each of its visits is worth its share.
+        worth = VALUE_UNIT * field.value / np.maximum(copies, 1)
+        self.value = np.maximum(1, np.round(worth[self.item_target])).astype(np.int64)
         n_standard, n_sky = ((is_served & (targets.kind == code)).sum() for code in (STANDARD, SKY))
         n_reserved = min(settings.wanted_standard, n_standard) + min(settings.wanted_sky, n_sky)
         self.capacity = max(0, field.plate.n_science_live - int(n_reserved))
@@ -117,9 +122,17 @@ class _Search:
             visit_of[begin[target] : begin[target] + len(visits)] = visits
         return visit_of
 
-    def lack(self, visit_of: IntArray) -> int:
-        """Science targets that the programmes want complete and the plan does not, of those that can be served."""
-        return int(np.minimum(self._needed() - self._n_complete(visit_of), self._n_waiting(visit_of)).clip(0).sum())
+    def lack(self, visit_of: IntArray) -> IntArray:
+        """(n_programme,) science targets that are wanted complete and not planned so, of those that can be served."""
+        return np.minimum(self._needed() - self._n_complete(visit_of), self._n_waiting(visit_of)).clip(0)
+
+    def favour(self, is_lacking: BoolArray) -> bool:
+        """Double the worth of targets of some programmes; nothing to do if that is none or all of them."""
+        if is_lacking.all() or not is_lacking.any():
+            return False
+        programme = self.field.targets.programme[self.item_target]
+        self.value = np.where((programme >= 0) & is_lacking[programme], 2, 1) * self.value
+        return True
 
     def fill(self, n_visit: int, visit_of: IntArray) -> tuple[IntArray, list[IntArray]]:
         """Most value in so many visits; targets that cannot get all their visits are given up, the least begun first."""
@@ -144,6 +157,8 @@ class _Search:
         field, settings = self.field, self.field.settings
         xy = np.ascontiguousarray(field.xy_mm[self.item_target])
         power = settings.travel_power
+        # Targets of several visits stay as they are: a part of one is worth nothing.
+        kin = np.where(self.copies == 1, field.targets.programme, -1)[self.item_target]
         rank = (field.targets.priority[self.item_target] - 1.0) / 8.0
         is_shut = self._shut(guides)
         visit_of = visit_of.copy()
@@ -151,7 +166,7 @@ class _Search:
             slot, robot_of = self._match_all(n_visit, visit_of)
             shorten(
                 max(1, round(N_SWEEP * settings.effort)), HOT_MM**power, COLD_MM**power, power / 2.0,
-                self.request.start_mm, xy, field.separation_mm, self.value, settings.delay_worth_mm**power * rank,
+                self.request.start_mm, xy, field.separation_mm, self.value, kin, settings.delay_worth_mm**power * rank,
                 self.near_first, self.near, self.item_target, field.reach_first, field.reach_robot,
                 self.request.is_pair_open, is_shut, np.full(n_visit, self.capacity),
                 sample_within(xy, EXCHANGE_RADIUS_MM, N_EXCHANGE, self.state), slot, visit_of, robot_of, self.state,
