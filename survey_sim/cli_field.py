@@ -186,9 +186,38 @@ def export(
     _console(quiet).print(f"{len(files)} files: [bold]{out}[/bold]")
 
 
+def compare_routers(
+    sources: RunOrFiles,
+    router: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="May be repeated; all four by default.", show_default=False),
+    ] = None,
+    instrument: Instrument = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random streams.")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("routers"),
+    quiet: Quiet = False,
+) -> None:
+    """Route the same allocations by several routers: times and failures as CSV and figures."""
+    import polars as pl
+
+    from survey_sim.survey.field import compare_routers as compare
+
+    made = compare(sources, out, routers=tuple(router or ()), instrument=instrument, seed=seed)
+    figures = made.rows.group_by("router", "path", maintain_order=True).agg(
+        pl.col("configuration_time_s").mean().alias("mean_s"),
+        pl.col("configuration_time_p95_s").mean().alias("p95_s"),
+        pl.col("configuration_time_median_s").mean().alias("median_s"),
+        pl.col("lower_bound_s").mean().alias("bound_s"),
+        pl.col("collisions", "unrouted").sum(),
+    )
+    console = _console(quiet)
+    console.print(_table(figures))
+    console.print(f"{made.file}, and figures beside it")
+
+
 def add_field_commands(app: typer.Typer) -> None:
     """Register the commands."""
-    for command in (allocate, route, simulate, view, export):
+    for command in (allocate, route, simulate, view, export, compare_routers):
         app.command()(command)
 
 
@@ -232,4 +261,7 @@ def _table(frame: pl.DataFrame) -> Any:
 def _console(quiet: bool) -> Any:
     from rich.console import Console
 
-    return Console(stderr=True, quiet=quiet, highlight=False)
+    console = Console(stderr=True, quiet=quiet, highlight=False)
+    if not console.is_terminal:
+        console.width = 120  # a table in a log file is not cut
+    return console

@@ -4,6 +4,7 @@ Each command is one function: files in; a run's folder with tables and exchange 
 """
 
 from survey_sim.survey.field.allocate import FieldAllocation, allocate_field
+from survey_sim.survey.field.compare import RouterComparison, compare_routers
 from survey_sim.survey.field.files import export_exchange
 from survey_sim.survey.field.route import FieldRoutes, route_field
 from survey_sim.survey.field.rows import visits_of_run
@@ -14,7 +15,9 @@ __all__ = [
     "FieldAllocation",
     "FieldRoutes",
     "FieldSimulation",
+    "RouterComparison",
     "allocate_field",
+    "compare_routers",
     "export_exchange",
     "route_field",
     "simulate_field",

@@ -92,7 +92,7 @@ def route_field(
     check_out(out)
     given = None if instrument is None else make_plate(load_instrument(instrument))
     allocated = [read_allocation(path, given) for path in files]
-    _check_plates(allocated)
+    check_plates(allocated)
     plate = allocated[0].plate
     standing, backup = parked(plate), {}
     if start is not None:
@@ -232,7 +232,8 @@ def _settings(router: str) -> RoutingSettings:
     return RoutingSettings.load({"router": router}, section="routing")
 
 
-def _check_plates(visits: Sequence[AllocatedVisit]) -> None:
+def check_plates(visits: Sequence[AllocatedVisit]) -> None:
+    """Refuse files of different plates."""
     first = visits[0].plate
     for visit in visits[1:]:
         if not _is_same(first, visit.plate):
