@@ -741,6 +741,9 @@ def direct_shape(phys, plans, i, option, shape):
     if option == 2:
         c, s = np.cos(np.radians(plans.theta[i])), np.sin(np.radians(plans.theta[i]))
         across = c * (y1 - y0) - s * (x1 - x0)
+        along = c * (x1 - x0) + s * (y1 - y0)
+        if min(abs(across), abs(along)) < phys.approach:
+            return 0, 0, 0.0
         shape.x[0], shape.y[0] = x0 - s * across, y0 + c * across
         shape.x[1], shape.y[1], shape.turned[1], shape.wait[1] = x1, y1, False, 0.0
         n_leg = 2
@@ -836,6 +839,8 @@ def sample_shape(phys, plans, rng, i, duration, separation, shape):
         if shape.turned[m]:
             theta = turned_theta
         total += turned_s if shape.turned[m] else square_s
+        if np.hypot(ex, ey) < phys.approach:
+            return 0, 0, 0.0, 0
         px, py = shape.x[m], shape.y[m]
         shape.wait[m] = 0.0
     if total > duration:

@@ -1,0 +1,80 @@
+"""Plain-loop references for routing and simulation: legs walked step by step, distances by dense sampling."""
+
+import math
+
+import numpy as np
+
+
+def position(instrument, start_mm, legs, robot, when):
+    """(x, y) of a robot at `when`, walking its legs one after another."""
+    x, y = start_mm[robot]
+    for k in np.flatnonzero(legs.robot == robot):
+        left = when - legs.start_s[k]
+        if left <= 0:
+            return x, y
+        left -= abs(legs.rotate_deg[k]) / instrument.rotation_speed_deg_s
+        length = abs(legs.dx_mm[k]) + abs(legs.dy_mm[k])
+        coarse = length - legs.precise_mm[k]
+        done = min(max(left, 0) * instrument.coarse_speed_mm_s, coarse)
+        left -= coarse / instrument.coarse_speed_mm_s
+        done += min(max(left, 0) * instrument.precise_speed_mm_s, legs.precise_mm[k])
+        along_x = math.copysign(min(done, abs(legs.dx_mm[k])), legs.dx_mm[k])
+        along_y = math.copysign(max(done - abs(legs.dx_mm[k]), 0), legs.dy_mm[k])
+        heading = math.radians(legs.theta_deg[k])
+        x += math.cos(heading) * along_x - math.sin(heading) * along_y
+        y += math.sin(heading) * along_x + math.cos(heading) * along_y
+        if done < length - 1e-12:
+            return x, y
+    return x, y
+
+
+def least_separation(instrument, start_mm, legs, until_s, n_sample=400):
+    """Least distance of any two robots over dense samples of time: never below the true one."""
+    least = math.inf
+    for when in np.linspace(0, until_s, n_sample):
+        here = [position(instrument, start_mm, legs, robot, when) for robot in range(len(start_mm))]
+        for i in range(len(here)):
+            for j in range(i):
+                least = min(least, math.dist(here[i], here[j]))
+    return least
+
+
+def late(knots, rest, delay):
+    """Knot times of a shape late by `delay` after its rest."""
+    t = knots[0].copy()
+    t[rest + 1 :] += delay
+    return t
+
+
+def sampled_distance(t_a, a, t_b, b, n_sample=8001):
+    """Least distance of two knot trajectories over dense samples."""
+    when = np.linspace(min(t_a[0], t_b[0]) - 1, max(t_a[-1], t_b[-1]) + 1, n_sample)
+    ax, ay = (np.interp(when, t_a, a[k]) for k in (1, 2))
+    bx, by = (np.interp(when, t_b, b[k]) for k in (1, 2))
+    return np.hypot(ax - bx, ay - by).min()
+
+
+def is_parted(start, goal, fixed, r, park, reach, plate_radius, pitch=0.25):
+    """Whether a flood fill over a fine grid cannot get from start to goal; holds where gaps are wider than the pitch."""
+    half = int(reach / pitch) + 2
+    axis = np.arange(-half, half + 1) * pitch
+    x, y = np.meshgrid(axis + park[0], axis + park[1], indexing="ij")
+    free = (np.hypot(x - park[0], y - park[1]) <= reach) & (np.hypot(x, y) <= plate_radius)
+    for point in fixed:
+        free &= np.hypot(x - point[0], y - point[1]) >= r
+    free_x, free_y = x[free], y[free]
+
+    def cell(point):
+        k = np.hypot(free_x - point[0], free_y - point[1]).argmin()
+        return tuple(np.argwhere(free)[k])
+
+    todo, seen, aim = [cell(start)], {cell(start)}, cell(goal)
+    while todo:
+        i, j = todo.pop()
+        if (i, j) == aim:
+            return False
+        for a, b in ((i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)):
+            if 0 <= a < free.shape[0] and 0 <= b < free.shape[1] and free[a, b] and (a, b) not in seen:
+                seen.add((a, b))
+                todo.append((a, b))
+    return True

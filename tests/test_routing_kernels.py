@@ -1,0 +1,139 @@
+"""Compiled geometry of routing against plain loops."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from survey_sim.instrument import load_instrument
+from survey_sim.motion import alone_time_s, leg_times_s, make_legs, make_trajectories
+from survey_sim.routing import kernels
+from tests import naive_routing as naive
+
+R = 9.0
+INSTRUMENT = load_instrument("taipan-150")
+PHYSICS = kernels.Physics(2.0, 0.3, 35.0, 0.02, 163.5)
+
+
+def _knots(rng):
+    n = rng.integers(1, 6)
+    t, x, y = np.sort(rng.uniform(0, 20, n)), rng.uniform(-15, 15, n), rng.uniform(-15, 15, n)
+    for k in range(1, n):
+        if rng.random() < 0.3:
+            x[k], y[k] = x[k - 1], y[k - 1]
+    return t, x, y
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_forbidden_delays_are_those_of_brute_force(seed):
+    rng = np.random.default_rng(seed)
+    a, b = _knots(rng), _knots(rng)
+    rests = [-1, *(k for k in range(len(a[0]) - 1) if (a[1][k], a[2][k]) == (a[1][k + 1], a[2][k + 1]))]
+    rest = rests[rng.integers(len(rests))]
+    lo, hi = np.empty(16), np.empty(16)
+    n = kernels.forbidden_delays(*a, len(a[0]), rest, *b, len(b[0]), R, 25.0, lo, hi)
+    assert (lo[:n] < hi[:n]).all()
+    assert (hi[: max(n - 1, 0)] < lo[1:n]).all()
+    for delay in rng.uniform(0, 25, 12):
+        nearest = naive.sampled_distance(naive.late(a, rest, delay), a, b[0], b)
+        if abs(nearest - R) > 0.02:
+            assert bool(((lo[:n] < delay) & (delay < hi[:n])).any()) == (nearest < R)
+
+
+def test_full_speed_straight_lines_have_one_forbidden_interval():
+    rng = np.random.default_rng(2)
+    lo, hi = np.empty(16), np.empty(16)
+    for _ in range(200):
+        (xa, ya), (xb, yb) = rng.uniform(-40, 40, (2, 2, 2))
+        ta, tb = (np.array([0.0, np.hypot(x[1] - x[0], y[1] - y[0]) / 2]) for x, y in ((xa, ya), (xb, yb)))
+        # All delays of either robot: as if the second started 100 s late.
+        assert kernels.forbidden_delays(ta, xa, ya, 2, -1, tb + 100.0, xb, yb, 2, R, 300.0, lo, hi) <= 1
+
+
+def test_interval_ends_are_exact_contact():
+    # Crossing at right angles at 2 mm/s: nearest approach is |delay| * 2 / sqrt(2) mm.
+    line = np.array([0.0, 40.0])
+    t, x, y = line, line * 2 - 40, np.zeros(2)
+    lo, hi = np.empty(16), np.empty(16)
+    n = kernels.forbidden_delays(t, x, y, 2, -1, t + 20.0, y, x, 2, R, 100.0, lo, hi)
+    assert n == 1
+    assert lo[0] == pytest.approx(20 - R / np.sqrt(2), abs=1e-9)
+    assert hi[0] == pytest.approx(20 + R / np.sqrt(2), abs=1e-9)
+
+
+def test_both_ends_of_the_line_blocked_leave_no_delay():
+    t, x, y = np.array([0.0, 22.5]), np.array([0.0, 45.0]), np.zeros(2)
+    other_t, other_x = np.array([0.0, 6.0]), np.array([20.0, 32.0])
+    lo, hi = np.empty(16), np.empty(16)
+    n = kernels.forbidden_delays(t, x, y, 2, -1, other_t, other_x, np.zeros(2), 2, R, 1e3, lo, hi)
+    assert n == 1
+    assert lo[0] < 0
+    assert hi[0] == np.inf
+
+
+@given(st.floats(-180, 179), st.floats(-40, 40), st.floats(-40, 40), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_kernel_legs_are_the_legs_of_motion(theta, x, y, is_turned):
+    way = np.array([[x, y], [x + 3.0, y - 8.0]])
+    robot, turned = np.zeros(2, dtype=np.int32), np.array([is_turned, True])
+    shape = kernels.new_shape(kernels.MAX_LEGS)
+    shape.x[:2], shape.y[:2], shape.turned[:2], shape.wait[:2] = way[:, 0], way[:, 1], turned, (0.0, 4.0)
+    n, end = kernels.build_knots(PHYSICS, shape, 2, 0.0, 0.0, theta, 0.0, 0.0, 160.0)
+    first, theta_1 = kernels.leg_time(PHYSICS, theta, x, y, is_turned, False)
+    start_s = np.array([0.0, first + 4.0])
+    legs = make_legs(INSTRUMENT, np.zeros((1, 2)), np.array([theta]), robot, start_s, way, turned)
+    assert np.cos(np.radians(theta_1 - legs.theta_deg[0])) == pytest.approx(1)
+    assert end == pytest.approx(start_s[1] + np.sum(leg_times_s(INSTRUMENT, legs), axis=0)[1])
+    knots = make_trajectories(INSTRUMENT, np.zeros((1, 2)), legs)
+    when = np.linspace(0, end, 50)
+    np.testing.assert_allclose(
+        np.interp(when, shape.kt[:n], shape.kx[:n]), np.interp(when, knots.t_s, knots.x_mm), atol=1e-7
+    )
+    np.testing.assert_allclose(
+        np.interp(when, shape.kt[:n], shape.ky[:n]), np.interp(when, knots.t_s, knots.y_mm), atol=1e-7
+    )
+
+
+@given(st.floats(-180, 179), st.floats(-40, 40), st.floats(-40, 40))
+def test_kernel_time_alone_is_that_of_motion(theta, x, y):
+    times = [kernels.leg_time(PHYSICS, theta, x, y, turned, True)[0] for turned in (True, False)]
+    alone = alone_time_s(INSTRUMENT, np.zeros((1, 2)), np.array([theta]), np.array([[x, y]]))[0]
+    assert min(times) == pytest.approx(alone, abs=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_parted_is_what_a_flood_fill_finds(seed):
+    rng = np.random.default_rng(seed)
+    fixed = np.empty((0, 2))
+    for point in rng.uniform(-35, 35, (60, 2)):
+        if len(fixed) < 14 and (np.hypot(*(fixed - point).T) > R).all():
+            fixed = np.vstack([fixed, point])
+    reach, park = 30.0, rng.uniform(-5, 5, 2)
+    free = [
+        point
+        for point in rng.uniform(-30, 30, (200, 2)) + park
+        if np.hypot(*(point - park)) < reach - 1 and np.hypot(*(fixed - point).T).min() > R + 0.5
+    ]
+    if len(free) < 2:
+        return
+    start, goal = free[0], free[1]
+    # Gaps about as wide as the grid's pitch cannot be told by the fill.
+    gap = np.hypot(*(fixed[:, None] - fixed[None]).transpose(2, 0, 1))
+    edge = reach - np.hypot(*(fixed - park).T)
+    if (np.abs(gap - 2 * R) < 0.8).any() or (np.abs(edge - R) < 0.8).any():
+        return
+    found = kernels.is_parted(*start, *goal, fixed, R, *park, reach, 163.5)
+    assert found == naive.is_parted(start, goal, fixed, R, park, reach, 163.5)
+
+
+def test_ring_of_robots_parts_inside_from_outside():
+    angle = np.arange(6) * np.pi / 3
+    ring = 15.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    assert kernels.is_parted(0.0, 0.0, 30.0, 5.0, ring, R, 0.0, 0.0, 50.0, 163.5)
+    assert not kernels.is_parted(0.0, 0.0, 30.0, 5.0, ring[1:], R, 0.0, 0.0, 50.0, 163.5)
+    # A chain from edge to edge of the patrol disc.
+    wall = np.column_stack([np.zeros(7), np.arange(-3, 4) * 16.0])
+    assert kernels.is_parted(-20.0, 0.0, 20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
+    assert not kernels.is_parted(-20.0, 0.0, -20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
