@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
+from survey_sim.geometry import unit_vectors
 from survey_sim.schedule import Programme
 from survey_sim.schema import PATHS
 
@@ -88,3 +89,27 @@ def both_surveys(n_taipan_tile, n_funnelweb_tile, n_visit, n_held=120, seed=1):
         first_id += len(parts[-1][3])
     programmes = (Programme("stars", "funnelweb", 180.0, 0.95), Programme("galaxies", "taipan", 1800.0, 0.7))
     return join(parts, programmes)
+
+
+def crowded_surveys(n_visit, wanted, n_held=40, n_tile=(1_700, 1_000), seed=1):
+    """FunnelWeb crowded towards the Galactic plane and TAIPAN away from it, 40 % of the visits TAIPAN's.
+
+    `wanted`: visits that each galaxy wants; `n_tile`: of FunnelWeb and TAIPAN.
+    """
+    rng = np.random.default_rng(seed)
+    pole = unit_vectors(np.array([192.86]), np.array([27.13]))[0]
+    parts, first_id = [], 0
+    for survey, programme, n, share, visits_wanted, dec_max in (
+        ("funnelweb", "stars", n_tile[0], 0.6, 1, 30.0),
+        ("taipan", "galaxies", n_tile[1], 0.4, wanted, 10.0),
+    ):
+        ra_deg, dec_deg = sphere_points(int(2 * n / (1 + np.sin(np.radians(dec_max)))), rng)
+        is_south = dec_deg < dec_max
+        ra_deg, dec_deg = ra_deg[is_south], dec_deg[is_south]
+        latitude_rad = np.abs(np.arcsin(unit_vectors(ra_deg, dec_deg) @ pole))
+        is_away = np.degrees(latitude_rad) > 10.0
+        density = np.exp(-latitude_rad / 0.35) + 0.2 if survey == "funnelweb" else is_away.astype(float)
+        visits_of_tile = rng.poisson(density / density.sum() * share * n_visit)
+        parts.append(one_survey(survey, programme, ra_deg, dec_deg, visits_of_tile, n_held, visits_wanted, first_id, rng))
+        first_id += len(parts[-1][3])
+    return join(parts, (Programme("stars", "funnelweb", 180.0), Programme("galaxies", "taipan", 1800.0)))

@@ -13,7 +13,7 @@ from astropy.utils import iers
 from survey_sim import tables
 from survey_sim.errors import InputError
 from survey_sim.schedule import Programme, ScheduleSettings, make_schedule
-from tests.synthetic_schedule import Inputs, both_surveys, join, one_survey
+from tests.synthetic_schedule import Inputs, both_surveys, crowded_surveys, join, one_survey
 
 AUTUMN = {"start_date": "2016-03-01", "end_date": "2016-05-31"}
 VISIT = ["survey", "tile_id", "visit_id"]
@@ -257,6 +257,15 @@ def test_programme_that_has_enough_stops_where_the_rest_is_worth_nothing():
     enough = Inputs(*inputs.arguments()[:5], (Programme("stars", "any", 600.0, 0.5),))
     assert 0.5 <= run(enough, beyond_wanted_weight=0.0).nights["completeness_frac_stars"][-1] < 0.8
     assert run(enough).nights["completeness_frac_stars"][-1] == 1.0
+
+
+def test_looking_ahead_saves_what_waiting_would_lose():
+    inputs = crowded_surveys(n_visit=1_250, wanted=1, n_held=4, n_tile=(170, 100))
+    four_months = {"start_date": "2016-02-01", "end_date": "2016-05-31"}
+    ahead, blind = (run(inputs, seed=1, is_looking_ahead=is_on, **four_months).nights for is_on in (True, False))
+    for programme in ("stars", "galaxies"):
+        assert ahead[f"completeness_frac_{programme}"][-1] > blind[f"completeness_frac_{programme}"][-1]
+    assert ahead["completeness_frac_galaxies"][-1] > blind["completeness_frac_galaxies"][-1] + 0.05
 
 
 def test_targets_without_enough_fibres_keep_the_allocators_reason():
