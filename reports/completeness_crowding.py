@@ -14,11 +14,13 @@ from scipy.spatial import cKDTree
 
 from survey_sim.geometry import chord, unit_vectors
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, binned, draw_binned, empty_figure, plain_numbers, whole_numbers
+from survey_sim.plotting.axes import add_legend, as_percent, binned, draw_binned, empty_figure, log_scale, whole_numbers
 from survey_sim.plotting.style import survey_colours
 
 # Targets of a survey whose neighbours are counted, evenly taken from all; among all.
 N_COUNTED = 100_000
+# Numbers of neighbours at which bins begin, ever wider.
+BINS = np.array([0, 1, 2, 3, 4, 5, 6, 8, 10, 13, 17, 22, 29, 38, 50, 66, 87, 115, 1_000_000], dtype=np.float64)
 # Bins of fewer targets say nothing.
 N_LEAST = 30
 
@@ -28,13 +30,13 @@ def draw(run: RunTables) -> Figure:
     figure = new_figure()
     if run.science.is_empty():
         return empty_figure(figure, "no science targets")
-    left, right = figure.subplots(1, 2)
+    left, right = figure.subplots(1, 2, sharey=True)
     _draw_neighbours(left, run)
     _draw_tiles(right, run)
     for axes in (left, right):
         axes.set_ylim(0, 1.04)
         as_percent(axes.yaxis)
-        axes.legend(loc="lower left")
+        add_legend(axes, loc="lower left")
     left.set_ylabel(f"Targets {'complete' if run.is_scheduled else 'allocated'} (%)")
     return figure
 
@@ -47,7 +49,7 @@ def _draw_neighbours(axes: Axes, run: RunTables) -> None:
             continue
         near, row = _neighbours(targets, radius_arcmin / 60.0)
         done = targets["is_observed" if run.is_scheduled else "is_allocated"].to_numpy()[row]
-        edges = np.arange(near.max() + 2) - 0.5
+        edges = BINS[: np.searchsorted(BINS, near.max()) + 1] - 0.5
         draw_binned(axes, binned(near.astype(np.float64), done, edges, N_LEAST), color=colour, label=survey)
     whole_numbers(axes.xaxis)
     axes.set_title("By neighbours")
@@ -69,8 +71,8 @@ def _draw_tiles(axes: Axes, run: RunTables) -> None:
         share = tiles.select(share=done / pl.col("n_target"))["share"]
         axes.scatter(tiles["n_target"], share, s=16, color=colour, alpha=0.75, linewidth=0, label=survey, rasterized=True)
     axes.set_title("By tile")
-    axes.set(xlabel="Science targets of the tile", xscale="log")
-    plain_numbers(axes.xaxis)
+    axes.set(xlabel="Science targets of the tile")
+    log_scale(axes, "x")
 
 
 if __name__ == "__main__":

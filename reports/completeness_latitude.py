@@ -9,7 +9,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, binned, draw_binned, empty_figure
+from survey_sim.plotting.axes import add_legend, as_percent, binned, draw_binned, empty_figure
 from survey_sim.plotting.style import programme_lines, survey_colours
 from survey_sim.region import abs_galactic_latitude_deg
 
@@ -40,8 +40,8 @@ def draw(run: RunTables) -> Figure:
     right.set_ylim(bottom=0)
     left.set_title("Completeness")
     right.set_title("Targets")
-    left.legend(loc="lower left")
-    right.legend(loc="upper right")
+    add_legend(left, loc="lower left")
+    add_legend(right, loc="upper right")
     for axes in (left, right):
         axes.set_xlabel("Galactic latitude, absolute (deg)")
     return figure

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, binned, draw_binned, empty_figure
+from survey_sim.plotting.axes import add_legend, as_percent, binned, draw_binned, empty_figure, log_scale
 from survey_sim.plotting.style import programme_lines
 
 BIN_MAG = 0.25
@@ -30,8 +30,9 @@ def draw(run: RunTables) -> Figure:
         for programme in run.programmes:
             if programme.survey == survey:
                 _draw_programme(grid[0, column], grid[1, column], run, programme.name)
-        grid[0, column].legend(loc="lower left")
-        grid[1, column].set(xlabel="Magnitude (mag)", yscale="log")
+        add_legend(grid[0, column], loc="lower left")
+        grid[1, column].set_xlabel("Magnitude (mag)")
+        log_scale(grid[1, column], "y")
     grid[0, 0].set(ylabel=f"Targets {'complete' if run.is_scheduled else 'allocated'} (%)", ylim=(0, 1.04))
     grid[1, 0].set_ylabel("Targets\nper bin")
     as_percent(grid[0, 0].yaxis)

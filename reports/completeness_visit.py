@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, empty_figure, whole_numbers
+from survey_sim.plotting.axes import add_legend, as_percent, empty_figure, whole_numbers
 from survey_sim.plotting.style import BOUND, BOUND_DASHES, IDEAL, IDEAL_DASHES, survey_colours
 
 FloatArray = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ def _draw_survey(axes: Axes, below: Axes, run: RunTables, survey: str) -> None:
         axes.plot(np.arange(len(bound)), bound, color=BOUND, linestyle=BOUND_DASHES, linewidth=1.5, label="proven bound")
     axes.set_ylim(0, 1.03)
     as_percent(axes.yaxis)
-    axes.legend(loc="lower right")
+    add_legend(axes, loc="lower right")
     below.bar(number, np.bincount(visits["visit_id"], minlength=len(number)), color=colour, width=0.8)
     below.set(xlabel="Visit of the tile (first is 0)")
     whole_numbers(below.xaxis)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, empty_figure, plain_percents
+from survey_sim.plotting.axes import add_legend, as_percent, empty_figure, log_scale
 from survey_sim.plotting.style import BOUND, BOUND_DASHES, survey_colours
 
 # Excess that counts as none: rounding of sums of times.
@@ -33,15 +33,15 @@ def draw(run: RunTables) -> Figure:
     ends = np.array([0.0, 1.05 * paths["configuration_time_s"].to_numpy().max()])
     left.plot(ends, ends, color=BOUND, linestyle=BOUND_DASHES, linewidth=1.2, label="bound")
     left.set(title="All paths", xlabel="Slowest robot alone (s)", ylabel="Configuration time (s)", xlim=ends, ylim=ends)
-    left.legend(loc="upper left")
+    add_legend(left, loc="upper left")
     right.set(
         title="Excess over the bound", xlabel="Excess over the bound (%)", ylabel="Share of paths beyond that excess (%)"
     )
-    right.set(xscale="log", xlim=EXCESS_FRAC, ylim=(0, None))
+    right.set(xlim=EXCESS_FRAC, ylim=(0, None))
+    log_scale(right, "x", percent=True)
     right.set_ylim(top=1.25 * right.get_ylim()[1])
-    plain_percents(right.xaxis)
     as_percent(right.yaxis)
-    right.legend(loc="upper right")
+    add_legend(right, loc="upper right")
     return figure
 
 

@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, draw_cumulative, panels, plain_numbers, say_empty
+from survey_sim.plotting.axes import add_legend, as_percent, draw_cumulative, log_scale, panels, say_empty
 from survey_sim.plotting.style import BOUND_DASHES, IDEAL_DASHES, INK, LIMIT_DASHES, survey_colours
+from survey_sim.plotting.summary import CONSTANT_S
 
-# Goodwin et al. 2014, Table 2: required; and what TAIPAN's own simulator charged a pointing.
-REQUIRED_S = 300.0
 MEASURES = {
     "configuration_time_s": ("all robots", "-"),
     "configuration_time_p95_s": ("95 % of the robots", IDEAL_DASHES),
@@ -59,16 +58,16 @@ def _draw_pointings(axes: Axes, run: RunTables) -> None:
 
 
 def _finish(axes: Axes, run: RunTables) -> None:
-    limits = {"readout": run.readout_s, "5 minutes": REQUIRED_S}
+    limits = {"readout": run.readout_s, "5 minutes": CONSTANT_S}
     for name, limit in limits.items():
         if limit:
             axes.axvline(limit, color=INK, linewidth=1.0, linestyle=LIMIT_DASHES)
             axes.text(limit, 0.03, f" {name}", rotation=90, va="bottom", ha="right", fontsize=8, color=INK)
-    axes.set(xscale="log", xlabel="Configuration time (s)", ylim=(0, 1.02))
-    axes.set_xlim(right=1.5 * REQUIRED_S)
+    axes.set(xlabel="Configuration time (s)", ylim=(0, 1.02))
     as_percent(axes.yaxis)
-    plain_numbers(axes.xaxis)
-    axes.legend(loc="upper left")
+    log_scale(axes, "x")
+    axes.set_xlim(right=1.5 * CONSTANT_S)
+    add_legend(axes, loc="upper left")
 
 
 if __name__ == "__main__":

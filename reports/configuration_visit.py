@@ -9,7 +9,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import by_visit, draw_band, empty_figure, plain_numbers, whole_numbers
+from survey_sim.plotting.axes import add_legend, by_visit, draw_band, empty_figure, log_scale, whole_numbers
 from survey_sim.plotting.style import IDEAL_DASHES, survey_colours
 
 
@@ -32,10 +32,10 @@ def draw(run: RunTables) -> Figure:
     left.set(title="By visit", ylabel="Configuration time (s)", xlabel="Visit of the tile (first is 0)")
     left.set_ylim(bottom=0)
     whole_numbers(left.xaxis)
-    right.set(title="By tile", xlabel="Science targets of the tile", xscale="log")
-    plain_numbers(right.xaxis)
+    right.set(title="By tile", xlabel="Science targets of the tile")
+    log_scale(right, "x")
     for axes in (left, right):
-        axes.legend(loc="lower right")
+        add_legend(axes, loc="lower right")
     return figure
 
 

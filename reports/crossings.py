@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import by_visit, draw_band, empty_figure, whole_numbers
+from survey_sim.plotting.axes import add_legend, by_visit, draw_band, empty_figure, whole_numbers
 from survey_sim.plotting.style import INK, KIND_COLOURS, survey_colours
 
 KINDS = {"n_science": "science", "n_standard": "standard", "n_sky": "sky", "n_guide": "guide", "n_idle": "idle"}
@@ -27,7 +27,7 @@ def draw(run: RunTables) -> Figure:
         draw_band(grid[0], bands, survey_colours(run)[survey], survey, middle="mean")
     grid[0].set(title="Crossings", ylabel="Crossing pairs in a visit")
     grid[0].set_ylim(bottom=0)
-    grid[0].legend(loc="upper right")
+    add_legend(grid[0], loc="upper right")
     for axes, survey in zip(grid[1:], surveys, strict=True):
         _draw_use(axes, run, survey)
     for axes in grid:

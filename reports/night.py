@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import empty_figure
+from survey_sim.plotting.axes import add_legend, empty_figure
 from survey_sim.plotting.run import evening_dates
 from survey_sim.plotting.style import MUTED, OVERHEAD, survey_colours
 
@@ -53,7 +53,7 @@ def _draw_airmass(axes: Axes, run: RunTables, log: pl.DataFrame) -> None:
         axes.plot([], [], color=survey_colours(run)[survey], linewidth=4.0, label=f"{survey} ({len(own)})")
     axes.set_ylabel("Airmass\nat mid-exposure")
     axes.invert_yaxis()
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    add_legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _draw_shutter(axes: Axes, run: RunTables, log: pl.DataFrame) -> None:

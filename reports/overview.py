@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, say_empty
+from survey_sim.plotting.axes import add_legend, as_percent, say_empty
 from survey_sim.plotting.plate import draw_plate, read_plate
 from survey_sim.plotting.sky import completeness_words, draw_completeness, tile_frame
 from survey_sim.plotting.timeline import draw_timeline
@@ -29,7 +29,7 @@ def draw(run: RunTables) -> Figure:
     axes.set_title("Completeness against time")
     draw_timeline(axes, run)
     if run.is_scheduled:
-        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.16))
+        add_legend(axes, loc="upper left", bbox_to_anchor=(0.0, -0.16))
     return figure
 
 
@@ -42,13 +42,16 @@ def _draw_maps(figure: Figure, run: RunTables) -> None:
     drawn = [draw_completeness(figure, grid[place], run, survey, frame) for place, survey in enumerate(surveys)]
     for (axes, _), survey in zip(drawn, surveys, strict=True):
         axes.set_title(survey)
-        axes.coords[1].set_axislabel("Dec (deg)")
-        if axes is drawn[-1][0]:
-            axes.coords[0].set_axislabel("RA (deg)")
-        else:
-            axes.coords[0].set_axislabel(" ")
+        if frame.is_whole:
+            axes.texts[0].set_visible(False)
             axes.coords[0].set_ticklabel_visible(False)
-    bar = figure.colorbar(drawn[0][1], ax=[axes for axes, _ in drawn], shrink=0.8, label=completeness_words(run))
+            axes.coords[1].set_ticklabel_visible(False)
+            continue
+        axes.coords[1].set_axislabel("Dec (deg)")
+        is_last = axes is drawn[-1][0]
+        axes.coords[0].set_axislabel("RA (deg)" if is_last else " ")
+        axes.coords[0].set_ticklabel_visible(is_last)
+    bar = figure.colorbar(drawn[0][1], ax=[axes for axes, _ in drawn], shrink=0.8, aspect=25, label=completeness_words(run))
     as_percent(bar.ax.yaxis)
 
 
@@ -60,7 +63,7 @@ def _draw_plate(axes: Axes, run: RunTables) -> None:
         return
     axes.set_title(visit.label)
     draw_plate(axes, run, read_plate(run, visit))
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=7.5, columnspacing=1.0)
+    add_legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=2, fontsize=7.5, columnspacing=1.0)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, empty_figure
+from survey_sim.plotting.axes import add_legend, as_percent, empty_figure
 from survey_sim.plotting.style import programme_lines
 
 
@@ -38,7 +38,7 @@ def draw(run: RunTables) -> Figure:
     as_percent(axes.xaxis)
     axes.grid(False, axis="y")
     axes.margins(x=0.1)
-    axes.legend(loc="lower right")
+    add_legend(axes, loc="lower right")
     return figure
 
 

@@ -9,7 +9,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import empty_figure
+from survey_sim.plotting.axes import add_legend, empty_figure
 from survey_sim.plotting.style import IDEAL_DASHES, INK, MOTION_COLOURS
 
 LABELS = {"rotating_s": "turning", "moving_s": "going", "waiting_s": "standing"}
@@ -34,7 +34,7 @@ def draw(run: RunTables) -> Figure:
     axes.axhline(p95.item(), color=INK, linestyle=IDEAL_DASHES, linewidth=1.0, label=f"95 % at rest: {p95.item():.1f} s")
     axes.set(title=f"{visit.label}: {len(moving)} robots move", xlim=(-1, len(moving)))
     axes.set(xlabel="Robots, in order of coming to rest", ylabel="Time from the start of the path (s)")
-    axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
+    add_legend(axes, loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
     axes.grid(False, axis="x")
     return figure
 

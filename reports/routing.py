@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import empty_figure, panels, say_empty, whole_numbers
+from survey_sim.plotting.axes import add_legend, empty_figure, log_scale, panels, say_empty, whole_numbers
 from survey_sim.plotting.style import DASHES, INK, LIMIT_DASHES
 
 PATH_COLOURS = {"start_to_target": "#222222", "start_to_park": "#009E73", "park_to_target": "#CC79A7"}
@@ -29,12 +29,13 @@ def draw(run: RunTables) -> Figure:
     near = np.linspace(min(least.min(), limit), max(np.quantile(least, 0.995), limit + 1.0), N_BIN + 1)
     _draw_paths(grid[0], run, "min_separation_mm", near)
     grid[0].axvline(limit, color=INK, linewidth=1.0, linestyle=LIMIT_DASHES)
-    grid[0].set(xlabel="Least separation on the path (mm)", ylabel="Paths", yscale="log")
+    grid[0].set(xlabel="Least separation on the path (mm)", ylabel="Paths")
+    log_scale(grid[0], "y")
     ticks = run.paths["ticks"].to_numpy().max()
     _draw_paths(grid[1], run, "ticks", np.arange(0, ticks + 2, max(1, ticks // N_BIN)) - 0.5)
     grid[1].set(xlabel="Ticks of the path", ylabel="Paths")
     whole_numbers(grid[1].xaxis, 6)
-    grid[1].legend(loc="upper right")
+    add_legend(grid[1], loc="upper right")
     _draw_unrouted(grid[2], run)
     return figure
 

@@ -21,14 +21,14 @@ def draw(run: RunTables) -> Figure:
     frame = tile_frame(run)
     rows, columns = (len(surveys), 1) if frame.is_whole else (1, len(surveys))
     aspect = frame.shape[0] / frame.shape[1]
-    width = min((FULL_WIDTH - 1.2) / columns - 0.5, 4.4 / aspect)
+    width = min((FULL_WIDTH - 1.2) / columns - 0.5, 3.2 / aspect if frame.is_whole else 4.4 / aspect)
     figure = new_figure(min(FULL_WIDTH, columns * width + 2.2), rows * (width * aspect + 0.55))
     grid = figure.add_gridspec(rows, columns)
     drawn = [draw_completeness(figure, grid[place], run, survey, frame) for place, survey in enumerate(surveys)]
     for (axes, _), survey in zip(drawn, surveys, strict=True):
         tiles = run.tiles.filter(survey=survey)
         axes.set_title(f"{survey}: {len(tiles):,} tiles, {tiles['n_target'].sum():,} targets")
-    bar = figure.colorbar(drawn[0][1], ax=[axes for axes, _ in drawn], shrink=0.85, label=completeness_words(run))
+    bar = figure.colorbar(drawn[0][1], ax=[axes for axes, _ in drawn], shrink=0.8, aspect=30, label=completeness_words(run))
     as_percent(bar.ax.yaxis)
     return figure
 

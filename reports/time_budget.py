@@ -1,6 +1,6 @@
 """Time budget.
 
-Left: hours between twilights, by month (by night if there are few): shutter open for each survey; slews, configuration,
+Left: hours between twilights, by night, month or quarter of a year: shutter open for each survey; slews, configuration,
 readout and calibration; weather; and the rest, with no field to observe or given to engineering. Right: what a pointing
 takes before its shutter opens, the median and the range of 90 % of the pointings: slew, configuration and readout of
 the last exposure go on together, calibration follows.
@@ -16,12 +16,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import date_axis, empty_figure, say_empty
+from survey_sim.plotting.axes import add_legend, date_axis, empty_figure, say_empty
 from survey_sim.plotting.run import evening_dates
 from survey_sim.plotting.style import INK, OVERHEAD, UNUSED, WEATHER, survey_colours
 
-# So many nights at most are drawn each; more are gathered by month.
-N_NIGHT_MAX = 62
+# Nights gathered in a bar, by the most nights for which that is done; more are gathered by quarter.
+GATHERED = {62: ("1d", "night"), 750: ("1mo", "month")}
 STEPS = {"readout_s": "readout", "configuration_time_s": "configuration", "slew_s": "slew"}
 
 
@@ -37,7 +37,7 @@ def draw(run: RunTables) -> Figure:
 
 
 def _draw_nights(axes: Axes, run: RunTables) -> None:
-    step = "1d" if len(run.nights) <= N_NIGHT_MAX else "1mo"
+    step, word = next((kind for most, kind in GATHERED.items() if len(run.nights) <= most), ("1q", "quarter of a year"))
     evening = pl.Series("evening", evening_dates(run.nights["evening_mjd"].to_numpy()))
     nights = run.nights.with_columns(evening.dt.truncate(step))
     by_survey = (
@@ -66,13 +66,12 @@ def _draw_nights(axes: Axes, run: RunTables) -> None:
         style: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": INK, "linewidth": 0.3, "align": "edge"}
         axes.bar(place, seconds / 3600.0, 0.94 * width, bottom=below, label=f"{label}: {share:.0%}", **style)
         below = below + seconds / 3600.0
-    axes.set(title=f"Nights, by {'night' if step == '1d' else 'month'}", ylabel="Time (h)")
+    axes.set(title=f"Nights, by {word}", ylabel="Time (h)")
     axes.xaxis_date()
     date_axis(axes)
     axes.grid(False, axis="x")
-    axes.legend(
-        *(items[::-1] for items in axes.get_legend_handles_labels()), loc="upper left", bbox_to_anchor=(0.0, -0.16), ncol=2
-    )
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(0.0, -0.16), ncol=2)
 
 
 def _next(begin: datetime, step: str) -> datetime:
@@ -103,7 +102,7 @@ def _draw_pointing(axes: Axes, run: RunTables) -> None:
     axes.set_xlabel("Time (s)")
     axes.set_xlim(left=0.0)
     axes.grid(False, axis="y")
-    axes.legend(loc="upper left", bbox_to_anchor=(-0.3, -0.16))
+    add_legend(axes, loc="upper left", bbox_to_anchor=(-0.3, -0.16))
 
 
 if __name__ == "__main__":

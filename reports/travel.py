@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, by_visit, draw_band, empty_figure, whole_numbers
+from survey_sim.plotting.axes import add_legend, as_percent, by_visit, draw_band, empty_figure, whole_numbers
 from survey_sim.plotting.run import TRAVEL_BIN_MM
 from survey_sim.plotting.style import DASHES, shades, survey_colours
 
@@ -41,7 +41,7 @@ def _draw_visits(axes: Axes, run: RunTables, survey: str) -> None:
         draw_band(axes, by_visit(visits, column), colour, label, linestyle=dashes)
     axes.set(title=f"{survey}: by visit", ylabel="Straight travel (mm)")
     axes.set_ylim(0, 1.25 * max(1.0, visits["travel_max_mm"].to_numpy().max()))
-    axes.legend(loc="upper right", ncol=3, columnspacing=1.2)
+    add_legend(axes, loc="upper right", ncol=3, columnspacing=1.2)
     whole_numbers(axes.xaxis)
 
 
@@ -59,7 +59,7 @@ def _draw_distribution(axes: Axes, run: RunTables, survey: str) -> None:
         share = np.bincount(own["bin"], weights=own["n_robot"], minlength=last + 1)
         label = f"visit {visit} ({own['n_robot'].sum():,} robots)"
         axes.stairs(share / share.sum() / TRAVEL_BIN_MM, edges, color=colour, linestyle=dashes, linewidth=1.4, label=label)
-    axes.legend(loc="upper right")
+    add_legend(axes, loc="upper right")
 
 
 def _some_visits(counts: pl.DataFrame) -> list[int]:

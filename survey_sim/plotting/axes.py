@@ -11,11 +11,14 @@ import polars as pl
 from matplotlib import dates
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
 
 from survey_sim.plotting.style import MUTED
 
 FloatArray = npt.NDArray[np.float64]
+
+# Logarithmic axes shorter than this have numbers at 1, 2 and 5, not only at 1.
+_FEW_DECADES = 2.5
 
 
 def say_empty(axes: Axes, text: str) -> None:
@@ -51,14 +54,22 @@ def whole_numbers(axis: Any, n_max: int = 9) -> None:
     axis.set_major_locator(MaxNLocator(n_max, integer=True, min_n_ticks=1))
 
 
-def plain_numbers(axis: Any) -> None:
-    """Numbers of a logarithmic axis as they are spoken: 0.1, 20, 300."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+def log_scale(axes: Axes, direction: str, *, percent: bool = False) -> None:
+    """A logarithmic axis with numbers as they are spoken (0.1, 20, 300), of what is drawn so far; linear if nothing is."""
+    axis: Any = getattr(axes, f"{direction}axis")
+    if not np.isfinite(getattr(axes.dataLim, f"minpos{direction}")):
+        return
+    getattr(axes, f"set_{direction}scale")("log")
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if np.log10(high / low) < _FEW_DECADES else (1.0,)))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:,.10g}%" if percent else f"{value:,.10g}"))
 
 
-def plain_percents(axis: Any) -> None:
-    """Percents of a logarithmic axis as they are spoken: 0.01 %, 100 %."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:,.10g}%"))
+def add_legend(axes: Axes, **options: Any) -> None:
+    """A legend, if anything in the panel has a name."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(**options)
 
 
 def date_axis(axes: Axes) -> None:

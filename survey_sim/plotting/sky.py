@@ -15,20 +15,21 @@ from astropy import units
 from astropy.visualization.wcsaxes import WCSAxes
 from astropy.visualization.wcsaxes.frame import EllipticalFrame
 from astropy.wcs import WCS
+from matplotlib import patheffects
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from survey_sim.geometry import chord, unit_vectors
 from survey_sim.plotting.run import RunTables
-from survey_sim.plotting.style import COMPLETENESS_MAP, MUTED
+from survey_sim.plotting.style import COMPLETENESS_MAP, INK, MUTED
 from survey_sim.region import GALACTIC_POLE_DEG
 
 FloatArray = npt.NDArray[np.float64]
 
 # A map that reaches further than this from its centre shows the whole sky, deg.
 _REACH_MAX_DEG = 60.0
-# Pixels across a map.
-_N_PIXEL = 480
+# Pixels across a map: of a region, of the whole sky.
+_N_PIXEL = {"ZEA": 480, "MOL": 900}
 
 
 @dataclass(frozen=True)
@@ -77,16 +78,37 @@ def add_sky(figure: Figure, place: Any, frame: SkyFrame) -> WCSAxes:
     axes.set_ylim(-0.5, frame.shape[0] - 0.5)
     axes.set_aspect("equal")
     ra, dec = axes.coords
-    ra.set_axislabel("Right ascension (deg, ICRS)", minpad=0.6)
-    dec.set_axislabel("Declination (deg, ICRS)", minpad=0.4)
     for coordinate in (ra, dec):
         coordinate.set_major_formatter("d")
         coordinate.grid(color="#9A9A9A", alpha=0.35, linewidth=0.5)
         coordinate.set_ticklabel(size=8, exclude_overlapping=True)
     if frame.is_whole:
-        ra.set_ticks(spacing=60 * units.deg)
-        ra.set_ticklabel(color=MUTED)
+        _label_whole(axes, ra, dec)
+    else:
+        ra.set_axislabel("Right ascension (deg, ICRS)", minpad=0.6)
+        dec.set_axislabel("Declination (deg, ICRS)", minpad=0.4)
     return axes
+
+
+def _label_whole(axes: WCSAxes, ra: Any, dec: Any) -> None:
+    """Labels of a map of the whole sky: right ascensions along the equator, declinations along the middle."""
+    ra.set_ticks(spacing=60 * units.deg)
+    dec.set_ticks(spacing=30 * units.deg)
+    dec.set_ticks_position("v")
+    dec.set_ticklabel_position("v")
+    halo = [patheffects.withStroke(linewidth=2.0, foreground="white")]
+    for coordinate in (ra, dec):
+        coordinate.set_ticklabel(color=INK, path_effects=halo)
+        coordinate.set_axislabel(" ")
+    axes.text(
+        0.5,
+        -0.06,
+        "Right ascension along the equator, declination along the middle (deg, ICRS)",
+        transform=axes.transAxes,
+        ha="center",
+        va="top",
+        fontsize=8.5,
+    )
 
 
 def paint_tiles(
@@ -133,7 +155,7 @@ def draw_galactic(axes: WCSAxes, frame: SkyFrame) -> None:
 
 
 def _frame(projection: str, centre_deg: tuple[float, float], width_deg: float, height_deg: float) -> SkyFrame:
-    pixel_deg = max(width_deg, height_deg) / _N_PIXEL
+    pixel_deg = max(width_deg, height_deg) / _N_PIXEL[projection]
     shape = int(np.ceil(height_deg / pixel_deg)), int(np.ceil(width_deg / pixel_deg))
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = [f"RA---{projection}", f"DEC--{projection}"]

@@ -10,6 +10,10 @@ import polars as pl
 
 from survey_sim.plotting.run import ProgrammeRow, RunTables, Visit, evening_dates
 
+# Configuration time that surveys charge every pointing, s: TAIPAN's own simulator; also the most that TAIPAN requires
+# (Goodwin et al. 2014, Table 2).
+CONSTANT_S = 300.0
+
 
 @dataclass(frozen=True)
 class ProgrammeNumbers:
@@ -35,7 +39,14 @@ class ProgrammeNumbers:
 
 @dataclass(frozen=True)
 class SurveyNumbers:
-    """Totals of one survey; times in s, None where there is nothing to take them from."""
+    """Totals of one survey; None where there is nothing to take them from.
+
+    Attributes
+    ----------
+    waited_h, constant_waited_h
+        Time of all pointings spent on configuration alone, beyond slew and readout, which go on meanwhile; and what it would
+        be at `CONSTANT_S` a pointing.
+    """
 
     name: str
     n_tile: int
@@ -54,6 +65,8 @@ class SurveyNumbers:
     within_readout_frac: float | None
     pointing_median_s: float | None
     pointing_within_readout_frac: float | None
+    waited_h: float | None
+    constant_waited_h: float | None
     n_collision: int
     n_unrouted: int
     least_separation_mm: float | None
@@ -141,6 +154,8 @@ def _survey(run: RunTables, survey: str) -> SurveyNumbers:
         within_readout_frac=_share_within(time, run.readout_s),
         pointing_median_s=_number(pointing.median()),
         pointing_within_readout_frac=_share_within(pointing, run.readout_s),
+        waited_h=_waited_h(exposures, pl.col("configuration_time_s")),
+        constant_waited_h=_waited_h(exposures, pl.lit(CONSTANT_S)),
         n_collision=int(paths["collisions"].sum()),
         n_unrouted=int(paths["unrouted"].sum()),
         least_separation_mm=_number(paths["min_separation_mm"].min()),
@@ -174,6 +189,13 @@ def _named_visits(run: RunTables) -> dict[str, tuple[Visit, float]]:
             row = run.visits.filter(survey=visit.survey, tile_id=visit.tile_id, visit_id=visit.visit_id)
             times[name] = (visit, float(row["configuration_time_s"].sum()))
     return times
+
+
+def _waited_h(exposures: pl.DataFrame, configuration_s: pl.Expr) -> float | None:
+    if exposures.is_empty():
+        return None
+    alone = (configuration_s - pl.max_horizontal("slew_s", "readout_s")).clip(lower_bound=0.0)
+    return float(exposures.select(alone.sum()).item()) / 3600.0
 
 
 def _share_within(times: pl.Series, limit_s: float | None) -> float | None:
