@@ -259,6 +259,12 @@ def test_programme_that_has_enough_stops_where_the_rest_is_worth_nothing():
     assert run(enough).nights["completeness_frac_stars"][-1] == 1.0
 
 
+def test_field_that_is_up_in_fill_time_only_has_a_season():
+    rule = {"takes": ["twilight"], "fills": ["dark"], "hour_angle_max_deg": 15.0, "twilight_deg": -17.5}
+    status = run(small(ra_deg=(200.0, 210.0)), surveys={"any": rule}, end_date="2016-03-10").target_status
+    assert status["reason"].is_null().all()
+
+
 def test_looking_ahead_saves_what_waiting_would_lose():
     inputs = crowded_surveys(n_visit=1_250, wanted=1, n_held=4, n_tile=(170, 100))
     four_months = {"start_date": "2016-02-01", "end_date": "2016-05-31"}
@@ -332,7 +338,7 @@ def test_site_that_never_sees_any_field():
 def test_field_out_of_season():
     schedule = run(small(ra_deg=(150.0, 0.0)), end_date="2016-03-20")
     assert set(schedule.target_status["reason"]) == {None, "no-season"}
-    assert "not up in the time" in schedule.warnings[0]
+    assert "not up in the time that it may have" in schedule.warnings[0]
 
 
 def test_weather_that_loses_everything():

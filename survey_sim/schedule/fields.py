@@ -10,10 +10,11 @@ import numpy.typing as npt
 from survey_sim.schedule.ephemeris import Ephemeris
 from survey_sim.schedule.kernels import Fields, Rules, State, update_weights, work_left
 from survey_sim.schedule.problem import Problem
-from survey_sim.schedule.settings import SKY_STATES, ScheduleSettings, SurveyRule
+from survey_sim.schedule.settings import SKY_STATES, ScheduleSettings, SkyState, SurveyRule
 from survey_sim.schedule.sky import N_LST_BIN, Night, time_by_bin
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 def make_fields(
@@ -53,14 +54,16 @@ class LookAhead:
 
     Attributes
     ----------
-    problem, rules
+    problem
         What it was made of.
     window_rad
         (n_tile,) largest hour angle in the middle of the schedule, rad; -1: the field is never within the limits.
     is_open
         (n_tile, 24) share of each bin of sidereal time in which the field is within its window.
     states
-        (n_survey, 4) 1 for the states of the sky that a survey takes (or fills, if it takes none).
+        (n_survey, 4) 1 for the states of the sky that a survey takes (or fills, if it takes none), else 0.
+    allowed_states
+        (n_survey, 4) the same for those that it takes or fills.
     time_s
         (n_night + 1, 24, 4) time from each night on, were all of it clear, s.
     overhead_s
@@ -70,10 +73,10 @@ class LookAhead:
     """
 
     problem: Problem
-    rules: Sequence[SurveyRule]
     window_rad: FloatArray
     is_open: FloatArray
     states: FloatArray
+    allowed_states: FloatArray
     time_s: FloatArray
     overhead_s: FloatArray
     is_on: bool
@@ -94,22 +97,32 @@ class LookAhead:
         window_rad = observing_window(
             np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)), problem, np.radians(ephemeris.site.latitude_deg), rules
         )
-        wanted = [set(rule.takes) or set(rule.fills) for rule in rules]
+        first = [rule.takes or rule.fills for rule in rules]
+        allowed = [rule.takes + rule.fills for rule in rules]
         readout_s = settings.telescope.readout_s
         return cls(
             problem=problem,
-            rules=rules,
             window_rad=window_rad,
             is_open=_share_open(np.arctan2(direction[:, 1], direction[:, 0]), window_rad),
-            states=np.array([[float(state in states) for state in SKY_STATES] for states in wanted]).reshape(-1, 4),
+            states=_state_flags(first),
+            allowed_states=_state_flags(allowed),
             time_s=time_by_bin(nights),
             overhead_s=np.array([readout_s + rule.calibration_s for rule in rules], dtype=np.float64),
             is_on=settings.is_looking_ahead,
         )
 
-    def left_s(self, night: int) -> FloatArray:
-        """(n_tile,) time open to each tile from a night on, were all of it clear, s."""
-        by_survey = self.time_s[night] @ self.states.T
+    @property
+    def is_visible(self) -> BoolArray:
+        """(n_tile,) whether the field is ever within the limits of airmass and hour angle."""
+        return self.window_rad > 0.0
+
+    @property
+    def has_season(self) -> BoolArray:
+        """(n_tile,) whether it is so in time that its survey takes or fills."""
+        return self._of_tiles(self.time_s[0] @ self.allowed_states.T) > 0.0
+
+    def _of_tiles(self, by_survey: FloatArray) -> FloatArray:
+        """(n_tile,) sum over the bins open to each tile of a (24, n_survey) quantity."""
         return np.asarray((self.is_open * by_survey.T[self.problem.tile_survey]).sum(axis=1))
 
     def pressure(self, night: int, state: State, numbers: Rules) -> FloatArray:
@@ -135,15 +148,20 @@ class LookAhead:
             numbers.repeat_min_frac,
             work_s,
         )
-        left_s = self.left_s(night)
+        left_s = self._of_tiles(self.time_s[night] @ self.states.T)
         spread = np.divide(work_s, left_s, out=np.zeros_like(work_s), where=left_s > 0)
         load = np.zeros((N_LST_BIN, len(SKY_STATES)))
         for survey, states in enumerate(self.states):
             of_survey = problem.tile_survey == survey
             load += (spread[of_survey] @ self.is_open[of_survey])[:, None] * states
-        loaded = (load * self.time_s[night]) @ self.states.T
-        pressed = (self.is_open * loaded.T[problem.tile_survey]).sum(axis=1)
+        pressed = self._of_tiles((load * self.time_s[night]) @ self.states.T)
         return np.divide(pressed, left_s, out=np.ones_like(left_s), where=left_s > 0)
+
+
+def _state_flags(states_of_survey: Sequence[Sequence[SkyState]]) -> FloatArray:
+    """(n_survey, 4) 1 for the states named, else 0."""
+    flags = [[float(state in states) for state in SKY_STATES] for states in states_of_survey]
+    return np.array(flags).reshape(-1, len(SKY_STATES))
 
 
 def _share_open(ra_rad: FloatArray, window_rad: FloatArray) -> FloatArray:

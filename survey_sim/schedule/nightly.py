@@ -80,14 +80,16 @@ def make_schedule(
     Raises
     ------
     InputError
-        Tables that do not fit each other.
+        Tables that do not fit each other; rules or probabilities for a survey or programme that there is not.
 
-    Notes ----- Visits of a tile are taken in order, since each is configured from the one before. The robots'
-    configuration runs while the CCD reads out and the telescope slews: a pointing pays the longest of the three, then
-    its calibration, then the exposure. Configuration times by `kernels.configuration_time`; every night begins with
-    all robots at park. An exposure that cloud interrupts, or keeps from starting, does not count, and its visit stays
-    on the list with its robots in place. Targets of a good exposure succeed by `settings.success_frac`; those that
-    fail bring their visits back, see `repeat_min_frac`.
+    Notes
+    -----
+    Visits of a tile are taken in order, since each is configured from the one before. The robots' configuration runs
+    while the CCD reads out and the telescope slews: a pointing pays the longest of the three, then its calibration, then
+    the exposure. Configuration times by `kernels.configuration_time`; every night begins with all robots at park. An
+    exposure that cloud interrupts, or keeps from starting, does not count, and its visit stays on the list with its
+    robots in place. Targets of a good exposure succeed by `settings.success_frac`; those that fail bring their visits
+    back, see `repeat_min_frac`.
     """
     _check_names(programmes, settings)
     is_routed = settings.configuration_s == "routed"

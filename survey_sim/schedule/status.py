@@ -23,7 +23,7 @@ EXPOSURE_STATUS = ("observed", "interrupted", "not-started")
 REASONS = (
     "not-scheduled",  # there was no time for (all of) its visits
     "exposure-failed",  # exposed as often as wanted, but not with success each time
-    "no-season",  # its field is never up in the time that its survey takes, within the dates
+    "no-season",  # its field is never up in the time that its survey may have, within the dates
     "never-visible",  # its field is never within the limits of airmass and hour angle at this site
     "not-allocated",  # fewer visits hold it than it wants, for a reason that the allocation may give
 )
@@ -78,11 +78,10 @@ def target_status_table(
     """Table `target_status`: a row for every science target."""
     targets = problem.targets
     holder = problem.visits.tile[targets.visit]
-    is_visible, has_season = look_ahead.window_rad > 0.0, look_ahead.left_s(0) > 0.0
     code = np.full(len(targets.target_id), _NOT_SCHEDULED)
     code[state.n_tried >= targets.wanted] = _EXPOSURE_FAILED
-    code[~_any_of(has_season[holder], targets.first_held)] = _NO_SEASON
-    code[~_any_of(is_visible[holder], targets.first_held)] = _NEVER_VISIBLE
+    code[~_any_of(look_ahead.has_season[holder], targets.first_held)] = _NO_SEASON
+    code[~_any_of(look_ahead.is_visible[holder], targets.first_held)] = _NEVER_VISIBLE
     code[np.diff(targets.first_held) < targets.wanted] = _NOT_ALLOCATED
     table = pl.DataFrame(
         {
@@ -124,18 +123,17 @@ def find_warnings(
     elif nights and lost_s >= dark_s:
         found.append("cloud takes all of the time: nothing is observed")
     has_visits = np.diff(problem.first_visit) > 0
-    is_visible, has_season = look_ahead.window_rad > 0.0, look_ahead.left_s(0) > 0.0
     for survey, name in enumerate(problem.surveys):
         of_survey = has_visits & (problem.tile_survey == survey)
-        n_unseen = int((of_survey & ~is_visible).sum())
+        n_unseen = int((of_survey & ~look_ahead.is_visible).sum())
         if n_unseen:
             found.append(
                 f"survey {name}: {n_unseen} of {of_survey.sum()} tiles are never within its limits of airmass and hour "
                 f"angle at latitude {settings.site.latitude_deg} deg"
             )
-        n_out = int((of_survey & is_visible & ~has_season).sum())
+        n_out = int((of_survey & look_ahead.is_visible & ~look_ahead.has_season).sum())
         if nights and n_out:
-            found.append(f"survey {name}: {n_out} of {of_survey.sum()} tiles are not up in the time that it takes")
+            found.append(f"survey {name}: {n_out} of {of_survey.sum()} tiles are not up in the time that it may have")
     return tuple(found)
 
 
