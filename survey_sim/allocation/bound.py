@@ -85,7 +85,7 @@ def _linear(field: Field, chosen: IntArray, missing: IntArray, n_visits: int, n_
     ranks = _matrix([*rows, np.arange(len(chosen))], len(chosen))
     limits = np.array([*rank, n_fibre], dtype=np.float64)
     worth = 1.0 / missing
-    result = linprog(-worth, A_ub=ranks, b_ub=limits, bounds=np.column_stack([np.zeros(len(chosen)), missing]))
+    result: Any = linprog(-worth, A_ub=ranks, b_ub=limits, bounds=[(0.0, float(wanted)) for wanted in missing])
     reach = _reach_matrix(field, chosen)
     if not _can_be_reached(reach, result.x, n_visits):
         # A variable a pair of target and robot: some ten times slower, so only where reach matters.
@@ -125,7 +125,7 @@ def _rank_rows(field: Field, chosen: IntArray, n_visits: int) -> tuple[list[IntA
     return [np.array(row, dtype=np.int64) for row in rows], list(rows.values())
 
 
-def _matrix(rows: list[IntArray], n: int) -> sparse.csr_array:
+def _matrix(rows: list[IntArray], n: int) -> Any:
     pointer = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     columns = np.concatenate(rows)
     return sparse.csr_array((np.ones(len(columns)), columns, pointer), shape=(len(rows), n))

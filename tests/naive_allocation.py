@@ -1,0 +1,74 @@
+"""Allocation by exhaustion and plain loops: what the kernels are held against on tiny plates."""
+
+from itertools import combinations, permutations
+
+import numpy as np
+
+
+def near_pairs(xy, radius):
+    """Pairs (i, j) nearer to each other than a radius."""
+    n = len(xy)
+    return {(i, j) for i in range(n) for j in range(n) if i != j and np.hypot(*(xy[i] - xy[j])) < radius}
+
+
+def crossings(start, end):
+    """Pairs of ways that share a point, by solving for it."""
+    count = 0
+    for i, j in combinations(range(len(start)), 2):
+        u, w = end[i] - start[i], end[j] - start[j]
+        matrix = np.column_stack([u, -w])
+        if abs(np.linalg.det(matrix)) < 1e-12:
+            continue
+        s, t = np.linalg.solve(matrix, start[j] - start[i])
+        count += 0 <= s <= 1 and 0 <= t <= 1
+    return count
+
+
+def most_apart(xy, separation):
+    """Most points of which no two are nearer than the separation."""
+    for size in range(len(xy), 0, -1):
+        for chosen in combinations(range(len(xy)), size):
+            if not near_pairs(xy[list(chosen)], separation):
+                return size
+    return 0
+
+
+def best_visit(park, patrol, xy, value, separation, power):
+    """(most value, then least sum of travel^power) over all legal visits."""
+    best = (0.0, 0.0)
+    for size in range(1, min(len(park), len(xy)) + 1):
+        for chosen in combinations(range(len(xy)), size):
+            if near_pairs(xy[list(chosen)], separation):
+                continue
+            for robots in permutations(range(len(park)), size):
+                travel = np.hypot(*(xy[list(chosen)] - park[list(robots)]).T)
+                if (travel <= patrol).all():
+                    found = (sum(value[t] for t in chosen), -float((travel**power).sum()))
+                    if found[0] > best[0] + 1e-9 or (abs(found[0] - best[0]) < 1e-9 and found[1] > best[1]):
+                        best = found
+    return best[0], -best[1]
+
+
+def feasible_sets(park, patrol, xy, separation):
+    """All sets of targets that one visit can hold, as frozensets."""
+    found = {frozenset()}
+    for size in range(1, min(len(park), len(xy)) + 1):
+        for chosen in combinations(range(len(xy)), size):
+            if near_pairs(xy[list(chosen)], separation):
+                continue
+            for robots in permutations(range(len(park)), size):
+                if (np.hypot(*(xy[list(chosen)] - park[list(robots)]).T) <= patrol).all():
+                    found.add(frozenset(chosen))
+                    break
+    return found
+
+
+def most_complete(park, patrol, xy, wanted, separation, n_visit):
+    """Most targets that get all their wanted visits in so many visits."""
+    sets = feasible_sets(park, patrol, xy, separation)
+    reached = {tuple([0] * len(xy))}
+    for _ in range(n_visit):
+        reached = {
+            tuple(min(n + (t in chosen), wanted[t]) for t, n in enumerate(counts)) for counts in reached for chosen in sets
+        }
+    return max(sum(n == w for n, w in zip(counts, wanted, strict=True)) for counts in reached)

@@ -1,0 +1,147 @@
+"""Kernels of the allocation against plain loops."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from survey_sim.allocation.bound_kernels import clique_parts, cliques_by_pair, most_apart, windows_within
+from survey_sim.allocation.kernels import crossings, near_lists, pick_apart, place_idle, reach_lists
+from survey_sim.allocation.plan_kernels import make_items
+from tests import naive_allocation as naive
+
+seeds = st.integers(0, 2**32 - 1)
+no_deadline = settings(deadline=None)  # the first call of a kernel may compile it
+
+
+def places(seed, n, size_mm):
+    return np.random.default_rng(seed).uniform(-size_mm, size_mm, (n, 2))
+
+
+def listed(first, member):
+    return {(i, int(j)) for i in range(len(first) - 1) for j in member[first[i] : first[i + 1]]}
+
+
+@no_deadline
+@given(seeds, st.integers(0, 30))
+def test_near_lists_are_the_pairs_within_the_radius(seed, n):
+    xy = places(seed, n, 30.0)
+    assert listed(*near_lists(xy[:, 0].copy(), xy[:, 1].copy(), 9.0)) == naive.near_pairs(xy, 9.0)
+
+
+def test_a_pair_at_the_radius_is_not_near():
+    first, near = near_lists(np.array([0.0, 9.0]), np.zeros(2), 9.0)
+    assert near.size == 0
+    assert first.tolist() == [0, 0, 0]
+
+
+@no_deadline
+@given(seeds, st.integers(0, 12))
+def test_reach_lists_are_the_robots_of_the_kind_within_patrol(seed, n):
+    rng = np.random.default_rng(seed)
+    park, xy = places(seed, 8, 40.0), places(seed + 1, n, 40.0)
+    patrol, is_guide = rng.uniform(5, 50, 8), rng.random(8) < 0.3
+    is_for_guide, is_served = rng.random(n) < 0.3, rng.random(n) < 0.8
+    found = listed(*reach_lists(park, patrol, is_guide, xy, is_for_guide, is_served))
+    for t in range(n):
+        for r in range(8):
+            may = is_served[t] and is_guide[r] == is_for_guide[t] and np.hypot(*(xy[t] - park[r])) <= patrol[r]
+            assert ((t, r) in found) == may
+
+
+@no_deadline
+@given(seeds, st.integers(0, 12))
+def test_crossings_are_those_found_by_solving(seed, n):
+    start, end = places(seed, n, 30.0), places(seed + 1, n, 30.0)
+    assert crossings(start, end) == naive.crossings(start, end)
+
+
+def test_a_robot_that_stays_crosses_none():
+    start = np.array([[0.0, 0.0], [-5.0, 0.0]])
+    assert crossings(start, np.array([[0.0, 0.0], [5.0, 0.0]])) == 0
+    assert crossings(start, np.array([[0.0, 5.0], [5.0, 1.0]])) == 1
+
+
+@no_deadline
+@given(seeds)
+def test_an_idle_robot_gets_the_nearest_legal_place(seed):
+    """No point of a fine grid is legal and nearer by more than the grid is fine."""
+    rng = np.random.default_rng(seed)
+    ends = places(seed, 12, 25.0)
+    start = np.vstack([rng.uniform(-10, 10, (1, 2)), ends])
+    is_idle = np.arange(13) == 0
+    goal, park, patrol = start.copy(), np.zeros((13, 2)), np.full(13, 25.0)
+    stuck = place_idle(is_idle, np.ones(13, bool), start, park, patrol, 22.0, 9.0, goal)
+    grid = np.stack(np.meshgrid(*[np.arange(-25, 25.01, 0.25)] * 2), axis=-1).reshape(-1, 2)
+    is_legal = (np.hypot(*grid.T) <= 22.0) & (np.hypot(*(grid[:, None] - ends).transpose(2, 0, 1)) >= 9.0).all(axis=1)
+    if stuck >= 0:
+        assert not is_legal.any()
+        return
+    assert np.hypot(*(goal[0] - ends).T).min() >= 9.0 - 1e-6
+    assert np.hypot(*goal[0]) <= 22.0 + 1e-6 or (goal[0] == start[0]).all()
+    if is_legal.any():
+        assert np.hypot(*(goal[0] - start[0])) <= np.hypot(*(grid[is_legal] - start[0]).T).min() + 1e-6
+
+
+def test_dead_robots_keep_their_places():
+    start = np.array([[3.0, 4.0], [20.0, 0.0]])
+    goal = np.zeros((2, 2))
+    assert place_idle(np.ones(2, bool), np.array([False, True]), start, start, np.full(2, 50.0), 100.0, 9.0, goal) == -1
+    np.testing.assert_array_equal(goal, start)
+
+
+@no_deadline
+@given(seeds, st.integers(1, 20))
+def test_picked_targets_are_apart_and_none_can_be_added(seed, n):
+    xy = places(seed, n, 20.0)
+    first, near = near_lists(xy[:, 0].copy(), xy[:, 1].copy(), 9.0)
+    is_picked = np.zeros(n, bool)
+    assert pick_apart(np.arange(n), n, first, near, np.ones(n, bool), is_picked) == is_picked.sum()
+    pairs = naive.near_pairs(xy, 9.0)
+    assert not any(is_picked[i] and is_picked[j] for i, j in pairs)
+    assert all(is_picked[i] or any(is_picked[j] for k, j in pairs if k == i) for i in range(n))
+
+
+@no_deadline
+@given(seeds, st.integers(0, 10))
+def test_most_apart_is_exact(seed, n):
+    xy = places(seed, n, 12.0)
+    assert most_apart(np.arange(n), xy, 9.0) == naive.most_apart(xy, 9.0)
+
+
+@no_deadline
+@given(seeds, st.integers(1, 40))
+def test_cliques_are_cliques(seed, n):
+    xy = places(seed, n, 15.0)
+    first, near = near_lists(xy[:, 0].copy(), xy[:, 1].copy(), 9.0)
+    pairs = naive.near_pairs(xy, 9.0)
+    part = clique_parts(xy, 9.0, first, near)
+    assert all(i == j or part[i] != part[j] or (i, j) in pairs for i in range(n) for j in range(n))
+    clique_first, member = cliques_by_pair(xy, 9.0, first, near, 2)
+    covered = set()
+    for k in range(len(clique_first) - 1):
+        clique = member[clique_first[k] : clique_first[k + 1]].tolist()
+        assert all((i, j) in pairs for i in clique for j in clique if i != j)
+        covered |= {(i, j) for i in clique for j in clique if i != j}
+    assert covered == pairs
+
+
+@no_deadline
+@given(seeds, st.integers(0, 40))
+def test_windows_hold_what_is_within_the_radius(seed, n):
+    xy = places(seed, n, 20.0)
+    found = listed(*windows_within(xy, 13.0))
+    assert found == naive.near_pairs(xy, 13.0) | {(i, i) for i in range(n)}
+
+
+def test_items_of_one_target_are_near_each_other():
+    target, first, near = make_items(np.array([2, 0, 1]), np.array([0, 1, 2, 2]), np.array([1, 0], dtype=np.int32))
+    assert target.tolist() == [0, 0, 2]
+    assert [near[first[i] : first[i + 1]].tolist() for i in range(3)] == [[1], [0], []]
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_few_targets_have_no_neighbours(n):
+    first, near = near_lists(np.zeros(n), np.zeros(n), 9.0)
+    assert first.tolist() == [0] * (n + 1)
+    assert near.size == 0

@@ -1,0 +1,106 @@
+"""The exact matching of one visit: against exhaustion, and against known optima."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from survey_sim.allocation import AllocationSettings, start_allocation
+from survey_sim.allocation.field import make_field
+from survey_sim.allocation.matching_kernels import match_apart
+from survey_sim.instrument import load_instrument, make_plate
+from tests import naive_allocation as naive
+from tests.mock_targets import field_targets, survey_targets, uniform_xy
+
+ANCHOR_PARKS = pl.read_csv(Path(__file__).parent / "data" / "anchor_parks.csv").rows()
+# Targets allocated and their total travel, mm, for three seeds each, by a mixed-integer programme (SciPy, HiGHS).
+EXACT = {
+    150: [(123, 1762.3), (123, 1914.1), (125, 2127.1)],
+    300: [(156, 1591.4), (156, 1544.2), (156, 2104.1)],
+    600: [(156, 940.7), (156, 984.9), (156, 924.1)],
+    1500: [(156, 611.6), (156, 612.9), (156, 567.4)],
+}
+
+
+def plate_of(parks, patrol_mm=50.0, plate_radius_mm=163.5):
+    overrides = {"park_positions_mm": parks, "patrol_radius_mm": patrol_mm, "plate_radius_mm": plate_radius_mm}
+    return make_plate(load_instrument("paper", overrides))
+
+
+def one_visit(targets, plate, **values):
+    session = start_allocation(targets, plate, AllocationSettings(visits=1, **values), np.random.default_rng(1))
+    return session.next_visit(plate.park_mm)
+
+
+@pytest.mark.parametrize("n_target", EXACT)
+def test_the_known_optima_seed_by_seed(n_target):
+    plate = plate_of(ANCHOR_PARKS, 49.5, 166.5)
+    for seed, (count, travel_mm) in enumerate(EXACT[n_target], start=1):
+        visit = one_visit(field_targets(uniform_xy(n_target, seed, 166.5)), plate, algorithm="matching", travel_power=1)
+        is_held = visit.target >= 0
+        assert is_held.sum() == count
+        assert visit.travel_mm[is_held].sum() == pytest.approx(travel_mm, abs=0.05)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.sampled_from([1.0, 2.0, 4.0]))
+def test_the_best_of_all_visits_is_found(seed, n_target, power):
+    rng = np.random.default_rng(seed)
+    park = np.array([(0.0, 0.0), (15.0, 0.0), (7.5, 13.0), (22.5, 13.0)])
+    xy = rng.uniform(-8, 30, (n_target, 2))
+    priority = rng.integers(1, 10, n_target)
+    targets, plate = field_targets(xy, priority=priority), plate_of(park.tolist(), 14.0)
+    visit = one_visit(targets, plate, algorithm="matching", travel_power=power, min_gain=1)
+    value = 1.0 + 0.1 * (priority - 1) / 8.0
+    best_value, best_travel = naive.best_visit(park, 14.0, xy, value, 9.0, power)
+    if visit is None:
+        assert best_value == 0.0
+        return
+    is_held = visit.target >= 0
+    assert value[visit.target[is_held]].sum() == pytest.approx(best_value)
+    assert (visit.travel_mm[is_held] ** power).sum() == pytest.approx(best_travel, rel=1e-6)
+
+
+def test_the_bound_of_the_search_holds_when_it_is_cut_short():
+    plate = plate_of(ANCHOR_PARKS, 49.5, 166.5)
+    field = make_field(field_targets(uniform_xy(300, 3, 166.5)), plate, AllocationSettings())
+    target = field.pair_target()
+    travel = np.hypot(*(field.xy_mm[target] - plate.park_mm[field.reach_robot]).T)
+    found = []
+    for max_nodes in (0, 5, 1000):
+        pair, bound, _ = match_apart(
+            plate.n_robot, 1e5, field.reach_first, field.reach_robot, target, travel,
+            field.near_first, field.near, field.xy_mm, 9.0, max_nodes,
+        )  # fmt: skip
+        found.append((travel[pair].sum(), bound))
+    exact = found[-1][0]
+    assert found[-1][1] == pytest.approx(exact)
+    assert all(bound <= exact + 1e-6 <= cost + 2e-6 for cost, bound in found)
+
+
+def test_least_travel_crosses_nothing_where_reach_is_no_limit():
+    plate = plate_of(ANCHOR_PARKS, 400.0, 166.5)
+    for seed in range(5):
+        assert one_visit(field_targets(uniform_xy(400, seed)), plate, algorithm="matching", travel_power=1).crossings == 0
+
+
+def test_minima_are_met_by_giving_up_the_least_valuable_science():
+    plate = plate_of([(0.0, 0.0), (30.0, 0.0)], 20.0)
+    kind, priority = ["science", "science", "sky"], [9, 1, 1]
+    targets = field_targets([(1.0, 0.0), (31.0, 0.0), (15.0, 5.0)], kind=kind, priority=priority)
+    visit = one_visit(targets, plate, algorithm="matching", min_sky=1, wanted_sky=1, sky_regions=1)
+    assert visit.target.tolist() == [0, 2]
+    assert visit.shortfall == {"science": 0, "standard": 5, "sky": 0, "guide": 3}
+
+
+def test_guides_are_served_by_guide_robots_alone():
+    plate = make_plate(load_instrument("taipan-150"))
+    visit = one_visit(survey_targets(uniform_xy(600, 1), 1), plate, algorithm="matching")
+    targets = survey_targets(uniform_xy(600, 1), 1)
+    is_held = visit.target >= 0
+    assert ((targets.kind[visit.target[is_held]] == 3) == plate.is_guide[is_held]).all()
+    assert visit.counts["standard"] == 10
+    assert visit.counts["sky"] == 20
