@@ -96,6 +96,7 @@ def _visit(visit: RoutedVisit, plates: list[Plate]) -> dict[str, Any]:
         plates.append(visit.plate)
     reasons = {path: visit.reasons.get(path) or [] for path in PATHS}
     return {
+        "id": visit.params.get("visit_id"),
         "label": visit.label or "visit",
         "plate": place,
         "target": visit.held["target_id"].to_list(),

@@ -19,8 +19,17 @@ class Player {
     this.makePickers();
     this.makeControls();
     this.watchTheme();
+    this.readAddress();
     this.load();
     requestAnimationFrame((now) => this.tick(now));
+  }
+
+  /* What the address asks for: view.html#visit=1&path=start_to_park */
+  readAddress() {
+    const asked = new URLSearchParams(window.location.hash.slice(1));
+    const visit = this.data.runs[0].visits.findIndex((one) => String(one.id) === asked.get("visit"));
+    if (visit >= 0) this.visit = visit;
+    if (this.data.paths.includes(asked.get("path"))) this.path = asked.get("path");
   }
 
   /* One pane a run: the plate, and its line of figures. */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,6 +59,7 @@ def allocate_field(
     centre_deg: tuple[float, float] | None = None,
     dead: tuple[int, ...] = (),
     seed: int = 1,
+    overrides: Mapping[str, float] | None = None,
 ) -> FieldAllocation:
     """Allocate the targets of one field, and write a run's tables and one allocation file a visit.
 
@@ -65,6 +67,8 @@ def allocate_field(
     ----------
     visits
         How many; by default as many as completeness needs.
+    overrides
+        Constants of the instrument (speeds, say) that differ from it.
 
     Raises
     ------
@@ -76,7 +80,7 @@ def allocate_field(
     values = {"algorithm": algorithm, "visits": visits, "travel_power": travel_power}
     settings = AllocationSettings.load(values, section="allocation")
     check_out(out)
-    plate = make_plate(load_instrument(instrument), dead)
+    plate = make_plate(load_instrument(instrument, overrides), dead)
     targets = read_targets(targets_path, plate, centre_deg)
     made = _allocate(plate, targets, settings, seed)
     if not made:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from survey_sim.exchange import (
     router_document,
     to_bytes,
 )
-from survey_sim.instrument import Plate, load_instrument, make_plate
+from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
 from survey_sim.routing import ROUTERS, RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.schema import PATHS
 from survey_sim.survey.field.folder import (
@@ -67,6 +67,8 @@ def route_field(
     instrument: str | Path | None = None,
     start: Path | None = None,
     seed: int = 1,
+    overrides: Mapping[str, float] | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> FieldRoutes:
     """Route the visits of allocation files one after the other, in the order given.
 
@@ -80,6 +82,10 @@ def route_field(
         By default the one that the files describe.
     start
         Backup file of the robots' positions; the first visit begins there. By default from park.
+    overrides
+        Constants of the instrument (speeds, say) that differ from it.
+    on_progress
+        Called with the number of visits done and of all.
 
     Raises
     ------
@@ -93,26 +99,21 @@ def route_field(
     given = None if instrument is None else make_plate(load_instrument(instrument))
     allocated = [read_allocation(path, given) for path in files]
     check_plates(allocated)
-    plate = allocated[0].plate
+    plate = _changed(allocated[0].plate, overrides or {})
+    allocated = [replace(visit, plate=plate) for visit in allocated]
     standing, backup = parked(plate), {}
     if start is not None:
         standing, plate = read_positions(start, plate)
         allocated = [replace(visit, plate=plate) for visit in allocated]
         backup = {"start_positions": _recorded(start, standing)}
     targets, centre_deg = _targets(allocated)
-    routed, bounds = [], []
+    routed = []
     for visit_id, visit in enumerate(allocated):
-        own, bound = _route_visit(visit, visit_id, standing, settings, seed)
-        routed.append(own)
-        bounds.append(bound)
-        standing = own.end("start_to_target")
-    frames = common_tables(plate, targets, centre_deg) | visit_tables(routed, targets, bounds)
-    written = common_files(plate, targets, centre_deg)
-    for visit_id, (before, after) in enumerate(zip(allocated, routed, strict=True)):
-        written[f"{XML}/{file_name('allocation', visit_id)}"] = _allocation_again(before, after)
-        written[f"{XML}/{file_name('router', visit_id)}"] = to_bytes(router_document(after, move_rows(after)))
-        positions = positions_document(plate, after.end("start_to_target"))
-        written[f"{XML}/{file_name('positions', visit_id)}"] = to_bytes(positions)
+        on_progress(visit_id, len(allocated))
+        routed.append(_route_visit(visit, visit_id, standing, settings, seed))
+        standing = routed[-1].end("start_to_target")
+    frames = common_tables(plate, targets, centre_deg) | visit_tables(routed, targets)
+    written = common_files(plate, targets, centre_deg) | _visit_files(allocated, routed)
     stow = _stow(routed[-1], settings, seed)
     written[f"{XML}/{STOW_FILE}"] = to_bytes(router_document(stow, move_rows(stow)))
     record = {
@@ -130,24 +131,16 @@ def route_field(
     return FieldRoutes(out, names, frames["paths"])
 
 
-def visit_tables(
-    visits: Sequence[RoutedVisit], targets: pl.DataFrame, bounds: Sequence[dict[str, float]] | None = None
-) -> dict[str, pl.DataFrame]:
-    """visits, allocations, paths, legs and robot_times of routed visits, played.
-
-    Parameters
-    ----------
-    bounds
-        Lower bound of each path of each visit, s, as the router gave them; by default of the robots that move.
-    """
+def visit_tables(visits: Sequence[RoutedVisit], targets: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """visits, allocations, paths, legs and robot_times of routed visits, played."""
     rows: dict[str, list[pl.DataFrame]] = {name: [] for name in ("allocations", "paths", "legs", "robot_times")}
-    for i, visit in enumerate(visits):
+    for visit in visits:
         played = play(visit)
         begin, end = visit.begin("start_to_target").position_mm, visit.end("start_to_target").position_mm
         travel = np.hypot(*(end - begin).T)
         keys = {"survey": SURVEY, "tile_id": 0, "visit_id": visit.params["visit_id"]}
         rows["allocations"].append(allocation_rows(keys, visit.plate, visit.held, travel, end))
-        rows["paths"].append(path_rows(visit, played, None if bounds is None else bounds[i]))
+        rows["paths"].append(path_rows(visit, played))
         rows["legs"].append(leg_rows(visit))
         rows["robot_times"].append(time_rows(visit, played))
     frames = {name: conformed(pl.concat(parts), name) for name, parts in rows.items()}
@@ -179,13 +172,13 @@ def route_paths(
 
 def _route_visit(
     visit: AllocatedVisit, visit_id: int, standing: Standing, settings: RoutingSettings, seed: int
-) -> tuple[RoutedVisit, dict[str, float]]:
-    """A routed visit, and the lower bound of each path."""
+) -> RoutedVisit:
+    """The visit with its three paths."""
     paths = route_paths(visit, standing, settings, seed, visit_id)
     is_arrived = paths["start_to_target"].reason == UnroutedReason.ARRIVED
     held = visit.held.with_columns(pl.when(pl.Series(is_arrived)).then(pl.all()))
     params = {**visit.params, "survey": SURVEY, "tile_id": 0, "visit_id": visit_id, "start": visit.start}
-    routed = RoutedVisit(
+    return RoutedVisit(
         plate=visit.plate,
         params={**params, "router": settings.router},
         held=held,
@@ -193,7 +186,23 @@ def _route_visit(
         legs={name: path.legs for name, path in paths.items()},
         reasons={name: _reasons(path) for name, path in paths.items()},
     )
-    return routed, {name: path.lower_bound_s for name, path in paths.items()}
+
+
+def _changed(plate: Plate, overrides: Mapping[str, float]) -> Plate:
+    """The same robots with some constants changed."""
+    values = plate.instrument.model_dump() | dict(overrides)
+    return replace(plate, instrument=Instrument.load(values, section="instrument"))
+
+
+def _visit_files(allocated: Sequence[AllocatedVisit], routed: Sequence[RoutedVisit]) -> dict[str, bytes]:
+    """Allocation, router and end-position file of each visit, under its number in this run."""
+    files = {}
+    for visit_id, (before, after) in enumerate(zip(allocated, routed, strict=True)):
+        files[f"{XML}/{file_name('allocation', visit_id)}"] = _allocation_again(before, after)
+        files[f"{XML}/{file_name('router', visit_id)}"] = to_bytes(router_document(after, move_rows(after)))
+        positions = positions_document(after.plate, after.end("start_to_target"))
+        files[f"{XML}/{file_name('positions', visit_id)}"] = to_bytes(positions)
+    return files
 
 
 def _stow(last: RoutedVisit, settings: RoutingSettings, seed: int) -> RoutedVisit:

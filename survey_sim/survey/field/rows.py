@@ -60,20 +60,15 @@ def move_rows(visit: RoutedVisit) -> dict[str, pl.DataFrame]:
     return rows
 
 
-def path_rows(visit: RoutedVisit, played: Mapping[str, SimulatedPath], bounds_s: Mapping[str, float] | None) -> pl.DataFrame:
-    """Rows of `paths`.
-
-    Parameters
-    ----------
-    bounds_s
-        Lower bound of each path, as the router gave it; None: of the robots that move.
-    """
+def path_rows(visit: RoutedVisit, played: Mapping[str, SimulatedPath]) -> pl.DataFrame:
+    """Rows of `paths`."""
     rows = []
     for path, result in played.items():
         row = {name: getattr(result, name) for name in _PATH_FIGURES}
-        bound = _lower_bound_s(visit, path) if bounds_s is None else bounds_s[path]
         n_unrouted = sum(reason is not None for reason in visit.reasons.get(path, ()))
-        rows.append({**keys_of(visit), "path": path, **row, "lower_bound_s": bound, "unrouted": n_unrouted})
+        rows.append(
+            {**keys_of(visit), "path": path, **row, "lower_bound_s": _lower_bound_s(visit, path), "unrouted": n_unrouted}
+        )
     return pl.DataFrame(rows)
 
 
