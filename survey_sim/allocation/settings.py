@@ -55,7 +55,7 @@ class AllocationSettings(Settings):
     # A target of priority p is worth 1 + priority_gain (p - 1) / 8 (assumed: number first, then priority).
     priority_gain: float = Field(0.1, ge=0)
     # `plan`: what a visit's delay of a target of the highest priority costs, as a move of so many mm (assumed).
-    delay_worth_mm: float = Field(5.0, ge=0)
+    delay_worth_mm: float = Field(10.0, ge=0)
     # `plan`: length of its searches, as a multiple of the usual one.
     effort: float = Field(1.0, gt=0)
     # Ranges of magnitude of which one exposure serves one, bright end included, faint end not; they may overlap. The first

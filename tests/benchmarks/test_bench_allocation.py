@@ -1,0 +1,68 @@
+"""Speed of the allocation of one tile, as ratios to one `linear_sum_assignment` of 150 x 1500 in the same run."""
+
+import time
+from functools import cache
+
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+from scipy.optimize import linear_sum_assignment
+
+from survey_sim.allocation import AllocationSettings, FieldTargets, completeness_bound, start_allocation
+from survey_sim.instrument import Plate, load_instrument, make_plate
+from tests.mock_targets import clustered_xy, field_targets, survey_targets, uniform_xy
+
+
+@cache
+def yardstick_s() -> float:
+    """Least of 20 times of one assignment of 150 robots to 1500 targets, by squared distance."""
+    apart = uniform_xy(150, 1)[:, None] - uniform_xy(1500, 2)[None]
+    cost = (apart**2).sum(axis=2)
+    times = []
+    for _ in range(20):
+        begin = time.perf_counter()
+        linear_sum_assignment(cost)
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def all_visits(targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> float:
+    """Completeness after all visits of a tile whose robots all arrive."""
+    session = start_allocation(targets, plate, settings, np.random.default_rng(1))
+    position, has_arrived = plate.park_mm, np.ones(plate.n_robot, bool)
+    while (visit := session.next_visit(position)) is not None:
+        session.record(visit, has_arrived)
+        position = visit.goal_mm
+    return session.completeness_frac
+
+
+def timed(benchmark: BenchmarkFixture, targets: FieldTargets, instrument: str, **values: object) -> None:
+    plate, settings = make_plate(load_instrument(instrument)), AllocationSettings.load(values)
+    result = benchmark.pedantic(all_visits, args=(targets, plate, settings), rounds=5, warmup_rounds=1)
+    benchmark.extra_info["completeness_frac"] = result
+    benchmark.extra_info["ratio_to_assignment"] = benchmark.stats.stats.median / yardstick_s()
+
+
+@pytest.mark.parametrize("places", [uniform_xy, clustered_xy])
+@pytest.mark.parametrize("algorithm", ["cda-basic", "cda-advanced", "matching", "plan"])
+def test_ten_visits_of_1431_targets(benchmark: BenchmarkFixture, algorithm: str, places) -> None:
+    timed(benchmark, field_targets(places(1431, 1)), "paper", algorithm=algorithm, visits=10)
+
+
+def test_one_visit_by_matching(benchmark: BenchmarkFixture) -> None:
+    timed(benchmark, field_targets(clustered_xy(1431, 1)), "paper", algorithm="matching", visits=1)
+
+
+def test_plan_with_guides_standards_and_sky(benchmark: BenchmarkFixture) -> None:
+    timed(benchmark, survey_targets(clustered_xy(900, 1), 1), "taipan-150", visits=6)
+
+
+def test_plan_of_5916_stars_and_300_robots(benchmark: BenchmarkFixture) -> None:
+    timed(benchmark, field_targets(uniform_xy(5916, 3)), "taipan-300", visits=20)
+
+
+@pytest.mark.parametrize("method", ["linear", "fast"])
+def test_bound_of_ten_visits(benchmark: BenchmarkFixture, method) -> None:
+    targets, plate = field_targets(clustered_xy(1431, 3)), make_plate(load_instrument("paper"))
+    benchmark.pedantic(completeness_bound, args=(targets, plate, 10), kwargs={"method": method}, rounds=5, warmup_rounds=1)
+    benchmark.extra_info["ratio_to_assignment"] = benchmark.stats.stats.median / yardstick_s()
