@@ -133,13 +133,13 @@ def simulate(
 
 def view(
     sources: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="RUN_DIR / ROUTER.xml ...",
             help="Run folders or router files; several: side by side.",
             show_default=False,
         ),
-    ],
+    ] = None,
     survey: Survey = None,
     tile: Tile = None,
     visit: Visits = None,
@@ -148,9 +148,18 @@ def view(
         Path | None,
         typer.Option(metavar="FILE.html", help="Page to write; view.html in the run by default.", show_default=False),
     ] = None,
+    is_served: Annotated[
+        bool, typer.Option("--serve", help="The simulator as an application in the browser, for this machine only.")
+    ] = False,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="Port of --serve.")] = 8050,
     quiet: Quiet = False,
 ) -> None:
     """Write the field player: one HTML file that opens from disk."""
+    if is_served:
+        _serve(sources or [], port, quiet)
+        return
+    if not sources:
+        raise InputError("nothing to show", place="view", remedy="name a run folder or router files, or give --serve")
     from survey_sim.survey.field import view_field
 
     page = view_field(sources, out, survey=survey, tile_id=tile, visit_ids=visit, instrument=instrument)
@@ -219,6 +228,16 @@ def add_field_commands(app: typer.Typer) -> None:
     """Register the commands."""
     for command in (allocate, route, simulate, view, export, compare_routers):
         app.command()(command)
+
+
+def _serve(sources: list[Path], port: int, quiet: bool) -> None:
+    try:
+        from survey_sim.survey.window.app import HOST, serve
+    except ModuleNotFoundError as absent:
+        remedy = "pip install 'survey-sim[serve]'"
+        raise InputError(f"needs {absent.name}, which is not installed", place="--serve", remedy=remedy) from None
+    _console(quiet).print(f"open [bold]http://{HOST}:{port}[/bold] in a browser; Ctrl+C ends it")
+    serve(sources, port)
 
 
 def _centre(text: str) -> tuple[float, float]:
