@@ -24,6 +24,10 @@ def _knots(rng):
     return t, x, y
 
 
+def _box(knots):
+    return np.array([knots[1].min(), knots[1].max(), knots[2].min(), knots[2].max()])
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
 def test_forbidden_delays_are_those_of_brute_force(seed):
@@ -32,7 +36,7 @@ def test_forbidden_delays_are_those_of_brute_force(seed):
     rests = [-1, *(k for k in range(len(a[0]) - 1) if (a[1][k], a[2][k]) == (a[1][k + 1], a[2][k + 1]))]
     rest = rests[rng.integers(len(rests))]
     lo, hi = np.empty(16), np.empty(16)
-    n = kernels.forbidden_delays(*a, len(a[0]), rest, *b, len(b[0]), R, 25.0, lo, hi)
+    n = kernels.forbidden_delays(*a, len(a[0]), rest, *b, len(b[0]), _box(b), R, 25.0, lo, hi)
     assert (lo[:n] < hi[:n]).all()
     assert (hi[: max(n - 1, 0)] < lo[1:n]).all()
     for delay in rng.uniform(0, 25, 12):
@@ -48,7 +52,7 @@ def test_full_speed_straight_lines_have_one_forbidden_interval():
         (xa, ya), (xb, yb) = rng.uniform(-40, 40, (2, 2, 2))
         ta, tb = (np.array([0.0, np.hypot(x[1] - x[0], y[1] - y[0]) / 2]) for x, y in ((xa, ya), (xb, yb)))
         # All delays of either robot: as if the second started 100 s late.
-        assert kernels.forbidden_delays(ta, xa, ya, 2, -1, tb + 100.0, xb, yb, 2, R, 300.0, lo, hi) <= 1
+        assert kernels.forbidden_delays(ta, xa, ya, 2, -1, tb + 100.0, xb, yb, 2, _box((tb, xb, yb)), R, 300.0, lo, hi) <= 1
 
 
 def test_interval_ends_are_exact_contact():
@@ -56,7 +60,7 @@ def test_interval_ends_are_exact_contact():
     line = np.array([0.0, 40.0])
     t, x, y = line, line * 2 - 40, np.zeros(2)
     lo, hi = np.empty(16), np.empty(16)
-    n = kernels.forbidden_delays(t, x, y, 2, -1, t + 20.0, y, x, 2, R, 100.0, lo, hi)
+    n = kernels.forbidden_delays(t, x, y, 2, -1, t + 20.0, y, x, 2, _box((t, y, x)), R, 100.0, lo, hi)
     assert n == 1
     assert lo[0] == pytest.approx(20 - R / np.sqrt(2), abs=1e-9)
     assert hi[0] == pytest.approx(20 + R / np.sqrt(2), abs=1e-9)
@@ -66,7 +70,9 @@ def test_both_ends_of_the_line_blocked_leave_no_delay():
     t, x, y = np.array([0.0, 22.5]), np.array([0.0, 45.0]), np.zeros(2)
     other_t, other_x = np.array([0.0, 6.0]), np.array([20.0, 32.0])
     lo, hi = np.empty(16), np.empty(16)
-    n = kernels.forbidden_delays(t, x, y, 2, -1, other_t, other_x, np.zeros(2), 2, R, 1e3, lo, hi)
+    n = kernels.forbidden_delays(
+        t, x, y, 2, -1, other_t, other_x, np.zeros(2), 2, _box((other_t, other_x, np.zeros(2))), R, 1e3, lo, hi
+    )
     assert n == 1
     assert lo[0] < 0
     assert hi[0] == np.inf

@@ -21,7 +21,7 @@ from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 # Detours tried at each step of repair.
 N_SAMPLE = 12
 # Steps at one duration before another is tried.
-N_QUICK = 300
+N_QUICK = 200
 
 
 def route_coordinated(

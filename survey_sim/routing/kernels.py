@@ -366,11 +366,12 @@ def _piece(kt, kx, ky, n, p):
 
 
 @njit(cache=True)
-def forbidden_delays(at, ax, ay, na, rest, bt, bx, by, nb, r, delay_max, lo, hi):
+def forbidden_delays(at, ax, ay, na, rest, bt, bx, by, nb, b_box, r, delay_max, lo, hi):
     """Delays d in (lo, hi) that bring shape a, late by d from piece `rest` on, within r of trajectory b.
 
-    Piece `rest` is a stand, which the delay lengthens: -1 for the one before the shape starts. Returns how many intervals
-    were written: disjoint, ascending, each open; only those that meet [0, delay_max].
+    Piece `rest` is a stand, which the delay lengthens: -1 for the one before the shape starts. `b_box` bounds trajectory b
+    (least and greatest x, then y). Returns how many intervals were written: disjoint, ascending, each open; only those that
+    meet [0, delay_max].
     """
     r2 = r * r
     n = 0
@@ -380,6 +381,8 @@ def forbidden_delays(at, ax, ay, na, rest, bt, bx, by, nb, r, delay_max, lo, hi)
         first_p = max(p, 0)
         box_x0, box_x1 = min(ax[first_p], ax[last_p]) - r, max(ax[first_p], ax[last_p]) + r
         box_y0, box_y1 = min(ay[first_p], ay[last_p]) - r, max(ay[first_p], ay[last_p]) + r
+        if b_box[1] < box_x0 or b_box[0] > box_x1 or b_box[3] < box_y0 or b_box[2] > box_y1:
+            continue
         is_still = ux == 0.0 and uy == 0.0
         for q in range(-1, nb):
             first_q, last_q = max(q, 0), min(q + 1, nb - 1)
@@ -456,6 +459,8 @@ def _insert_interval(lo, hi, n, d0, d1):
 # Coordinated routing: every robot has one plan (way points, waits, a start delay); pairs that come too near are conflicts;
 # robots in conflict are planned again, one at a time, for the least weight of conflicts.
 
+# Durations this close, as a share of the bound, are not told apart on the way back down.
+CLOSE_FRAC = 0.004
 # What a conflict's weight gains at each low point that it survives.
 WEIGHT_GAIN = 0.3
 MAX_INTERVALS = 12
@@ -594,11 +599,6 @@ def _coordinate(t, z, k, last, when):
 
 
 @njit(cache=True)
-def _boxes_apart(box, i, j, r):
-    return box[i, 0] > box[j, 1] + r or box[j, 0] > box[i, 1] + r or box[i, 2] > box[j, 3] + r or box[j, 2] > box[i, 3] + r
-
-
-@njit(cache=True)
 def set_plan(plans, i, shape, n_leg, n_knot, late_leg, delay, separation, margin):
     """Give robot i the shape, late by `delay` from leg `late_leg` on, and find its conflicts."""
     plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
@@ -619,12 +619,15 @@ def set_plan(plans, i, shape, n_leg, n_knot, late_leg, delay, separation, margin
 @njit(cache=True)
 def find_conflicts(plans, i, n, separation, margin):
     """Conflicts of robot i with the robots before n."""
+    widest = separation + margin
+    x0, x1 = plans.box[i, 0] - widest, plans.box[i, 1] + widest
+    y0, y1 = plans.box[i, 2] - widest, plans.box[i, 3] + widest
+    box, conflict = plans.box, plans.conflict[i]
     for j in range(n):
-        if j == i:
-            continue
-        r = pair_radius(plans, i, j, separation, margin)
-        now = not _boxes_apart(plans.box, i, j, r) and is_near(plans, i, j, r)
-        if now != plans.conflict[i, j]:
+        now = False
+        if box[j, 0] <= x1 and box[j, 1] >= x0 and box[j, 2] <= y1 and box[j, 3] >= y0 and j != i:
+            now = is_near(plans, i, j, pair_radius(plans, i, j, separation, margin))
+        if now != conflict[j]:
             plans.conflict[i, j] = plans.conflict[j, i] = now
             step = 1 if now else -1
             plans.n_conflict[i] += step
@@ -675,7 +678,7 @@ def best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, ma
         r = pair_radius(plans, i, j, separation, margin)
         m = forbidden_delays(
             shape.kt, shape.kx, shape.ky, n_knot, shape.leave[late_leg],
-            plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j],
+            plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], plans.box[j],
             r, delay_max, events.pair_lo, events.pair_hi,
         )  # fmt: skip
         for k in range(m):
@@ -794,14 +797,13 @@ def _clear_of(plans, rng, i, j, separation):
 
 
 @njit(cache=True)
-def sample_shape(phys, plans, rng, i, duration, separation, shape):
+def sample_shape(phys, plans, rng, i, partner, duration, separation, shape):
     """A random detour of one or two way points; (n_leg, n_knot, time, leg to be delayed), n_knot 0 if it cannot be."""
     x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
     ex, ey = x1 - x0, y1 - y0
     length = np.hypot(ex, ey)
     spare = max(0.0, (duration - plans.alone[i]) * phys.coarse)
     aside = min(25.0, np.sqrt((length + spare) ** 2 - length * length) / 2)
-    partner = _pick_partner(plans, rng, i)
     n_via = 1 if rng.random() < 0.8 else 2
     is_varied = plans.n_leg[i] > 1 and rng.random() < 0.4
     if is_varied:
@@ -860,12 +862,13 @@ def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, s
     The direct shapes are tried, then sampled detours.
     """
     best_legs, best_knots, delay, late_best = -1, 0, 0.0, 0
+    partner = _pick_partner(plans, rng, i) if n_sample > 0 else -1
     for option in range(3 + n_sample):
         late_leg = 0
         if option < 3:
             n_leg, n_knot, t = direct_shape(phys, plans, i, option, shape)
         else:
-            n_leg, n_knot, t, late_leg = sample_shape(phys, plans, rng, i, duration, separation, shape)
+            n_leg, n_knot, t, late_leg = sample_shape(phys, plans, rng, i, partner, duration, separation, shape)
         if n_knot == 0 or t > duration + SAME_DELAY_S:
             continue
         delay_max = max(0.0, duration - t)
@@ -1031,14 +1034,18 @@ def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separat
     while done < n_step:
         copy_plans(plans, kept)
         found = last_arrival(kept)
-        if found - failed < 0.002 * bound:
+        # Once near, the bound itself again, now from plans that almost fit.
+        is_last = found - bound < 2.0 * CLOSE_FRAC * bound
+        if found <= bound + SAME_DELAY_S or (found - failed < CLOSE_FRAC * bound and not is_last):
             break
-        trial = max(bound, found - max(0.5 * (found - failed), 0.002 * bound))
+        trial = bound if is_last else 0.5 * (found + failed)
         used = repair(phys, plans, rng, trial, n_quick, n_sample, separation, margin)
         done += n_quick if used < 0 else used + 1
         if used < 0:
             copy_plans(kept, plans)
             failed = trial
+            if is_last:
+                break
     return True
 
 

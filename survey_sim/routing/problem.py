@@ -50,7 +50,7 @@ class RoutingSettings(Settings):
     # Extra separation planned where starts and goals allow; what cannot be routed so is routed without it.
     margin_mm: float = Field(0.0, ge=0)
     # Coordinated: steps of repair at each trial duration, before a longer one is tried.
-    n_repair: int = Field(1500, ge=1)
+    n_repair: int = Field(1000, ge=1)
 
 
 @dataclass(frozen=True)
