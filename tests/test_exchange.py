@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import astropy.units as u
@@ -32,6 +33,7 @@ from survey_sim.exchange import (
     plate_of,
     read,
     read_plate,
+    read_router,
     robot_columns,
     robot_params,
     rows_of_robots,
@@ -400,6 +402,28 @@ class TestRefused:
         path = edited(positions(plate), tmp_path, "<TD>dead</TD>", "<TD>ill</TD>")
         with pytest.raises(InputError, match=r"state: neither 'live' nor 'dead' at rows \[6\]"):
             plate_of(read(path, POSITIONS))
+
+
+class TestDamage:
+    """Whatever a file holds, it is read or refused."""
+
+    @given(data=st.data())
+    @settings(max_examples=150, deadline=None)
+    def test_damaged_bytes(self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+        folder = tmp_path_factory.mktemp("damage")
+        serialisation = data.draw(st.sampled_from(SERIALISATIONS))
+        content = bytearray(to_bytes(router(four_robots(folder)), serialisation))
+        for _ in range(data.draw(st.integers(1, 4))):
+            place = data.draw(st.integers(0, len(content) - 1))
+            length = data.draw(st.integers(0, 12))
+            content[place : place + length] = data.draw(st.binary(max_size=12) | st.sampled_from(DAMAGE))
+        path = folder / "damaged.xml"
+        path.write_bytes(content)
+        with suppress(InputError):
+            read_router(path)
+
+
+DAMAGE = (b"<TR>", b"</TD>", b"NaN", b"1e999", b"-1", b"99999999999999999999", b'unit="s"', b"\xff\xfe", b"&amp;", b"\x00")
 
 
 class TestOtherPrograms:

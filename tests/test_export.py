@@ -18,6 +18,7 @@ from survey_sim import tables
 from survey_sim.errors import InputError
 from survey_sim.exchange import ROUTER, read, read_allocation, read_router
 from survey_sim.schema import TABLES
+from survey_sim.survey import export
 from survey_sim.survey.export import export_run
 from survey_sim.survey.field import export_exchange
 from tests.test_field import field, instrument, xml  # noqa: F401 - fixtures
@@ -75,6 +76,13 @@ class TestFormats:
             if "visit_id" in TABLES[path.stem].names:
                 assert pl.read_csv(path)["visit_id"].unique().to_list() == [1]
         assert [path.stem for path in export_run(run, tmp_path, "csv", only=["legs"])] == ["legs"]
+
+    def test_large_tables_are_cut(self, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        whole = tables.read(run, "legs")
+        monkeypatch.setattr(export, "N_ROWS_MAX", 50)
+        files = export_run(run, tmp_path, "csv", only=["legs"])
+        assert [path.name for path in files] == [f"legs_{i:03d}.csv" for i in range(-(-len(whole) // 50))]
+        assert_frame_equal(pl.concat(pl.read_csv(path, schema=whole.schema) for path in files), whole)
 
     def test_refused(self, run: Path, tmp_path: Path) -> None:
         for words, match in (
