@@ -1,8 +1,8 @@
 """Completeness by crowding.
 
 Left: share of targets complete against the number of other targets of the same survey nearer than two robots may stand
-to each other; no two of them can be observed in one visit. Right: share of a tile's targets complete against how many
-targets it has, a dot a tile.
+to each other: two targets so near cannot be observed in one visit. Right: share of a tile's targets complete against
+how many targets it has, a dot a tile.
 """
 
 import numpy as np

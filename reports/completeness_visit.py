@@ -35,35 +35,35 @@ def draw(run: RunTables) -> Figure:
 
 def _draw_survey(axes: Axes, below: Axes, run: RunTables, survey: str) -> None:
     visits, colour = run.visits.filter(survey=survey), survey_colours(run)[survey]
-    weight = (
-        visits.select("tile_id").unique().sort("tile_id").join(run.tiles.filter(survey=survey), on="tile_id", how="left")
-    )
-    n_target = weight["n_target"].fill_null(0).to_numpy().clip(min=1)
-    reached = _filled(visits, "completeness_frac")
+    tiles = run.tiles.filter((pl.col("survey") == survey) & (pl.col("n_target") > 0))
+    axes.set_title(f"{survey}: {len(visits):,} visits of {visits['tile_id'].n_unique():,} of {len(tiles):,} tiles")
+    below.set_xlabel("Visit of the tile (first is 0)")
+    if tiles.is_empty():
+        return
+    n_target = tiles["n_target"].to_numpy()
+    reached = _filled(visits, tiles, "completeness_frac")
     number = np.arange(reached.shape[1])
-    axes.set_title(f"{survey}: {visits['tile_id'].n_unique():,} tiles, {len(visits):,} visits")
     axes.fill_between(number, *np.quantile(reached, [0.1, 0.9], axis=0), color=colour, alpha=0.16, linewidth=0)
     axes.plot(number, _mean(reached, n_target), color=colour, marker="o", markersize=3, label="allocated")
-    ideal = _mean(_filled(visits, "ideal_completeness_frac"), n_target)
+    ideal = _mean(_filled(visits, tiles, "ideal_completeness_frac"), n_target)
     axes.plot(number, ideal, color=IDEAL, linestyle=IDEAL_DASHES, linewidth=1.3, label="ideal positioner")
     if visits["completeness_bound_frac"].is_not_null().any():
-        bound = _mean(_filled(visits.drop_nulls("completeness_bound_frac"), "completeness_bound_frac"), n_target)
-        axes.plot(np.arange(len(bound)), bound, color=BOUND, linestyle=BOUND_DASHES, linewidth=1.5, label="proven bound")
+        bounded = visits.with_columns(pl.col("completeness_bound_frac").fill_null(1.0))
+        bound = _mean(_filled(bounded, tiles, "completeness_bound_frac"), n_target)
+        axes.plot(number, bound, color=BOUND, linestyle=BOUND_DASHES, linewidth=1.5, label="proven bound")
     axes.set_ylim(0, 1.03)
     as_percent(axes.yaxis)
     add_legend(axes, loc="lower right")
     below.bar(number, np.bincount(visits["visit_id"], minlength=len(number)), color=colour, width=0.8)
-    below.set(xlabel="Visit of the tile (first is 0)")
     whole_numbers(below.xaxis)
     whole_numbers(below.yaxis, 3)
 
 
-def _filled(visits: pl.DataFrame, column: str) -> FloatArray:
-    """(n_tile, n_visit) a fraction by tile and visit; a tile keeps its last."""
-    tile = visits["tile_id"].rank("dense").to_numpy().astype(np.int64) - 1
-    visit = visits["visit_id"].to_numpy().astype(np.int64)
-    table = np.zeros((tile.max() + 1, visit.max() + 1))
-    table[tile, visit] = visits[column].to_numpy()
+def _filled(visits: pl.DataFrame, tiles: pl.DataFrame, column: str) -> FloatArray:
+    """(n_tile, n_visit) a fraction by tile and visit; a tile keeps its last, and one without visits has 0."""
+    place = tiles.with_row_index("place").select("tile_id", "place").join(visits, on="tile_id")
+    table = np.zeros((len(tiles), 1 + int(visits["visit_id"].to_numpy().max())))
+    table[place["place"].to_numpy(), place["visit_id"].to_numpy()] = place[column].to_numpy()
     return np.maximum.accumulate(table, axis=1)
 
 

@@ -1,16 +1,16 @@
 """Configuration time.
 
 Share of visits whose robots are at rest within so many seconds: all robots (solid), 95 % of those that move (dashed),
-and the slowest robot were it alone (dotted). Left: from the last visit of the tile. Right: at the telescope, for every
-pointing that was made, by way of park where the tile changes. Vertical: the readout of the CCD, and the constant 5
-minutes that surveys charge for configuration, which is also TAIPAN's requirement.
+and the slowest robot were it alone (dotted). Left: every visit, from where the last visit of its tile ended. Right: at
+the telescope, for every pointing that was made, by way of park where the tile changes. Vertical: the readout of the
+CCD, and the constant 5 minutes that surveys charge for configuration, which is also TAIPAN's requirement.
 """
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import add_legend, as_percent, draw_cumulative, log_scale, panels, say_empty
+from survey_sim.plotting.axes import as_percent, draw_cumulative, log_scale, panels, say_empty
 from survey_sim.plotting.style import BOUND_DASHES, IDEAL_DASHES, INK, LIMIT_DASHES, survey_colours
 from survey_sim.plotting.summary import CONSTANT_S
 
@@ -24,10 +24,13 @@ MEASURES = {
 def draw(run: RunTables) -> Figure:
     """Cumulative configuration times: of visits, and of pointings."""
     figure = new_figure()
-    left, right = panels(figure, ["Visits, from the tile's last visit", "Pointings at the telescope"])
+    left, right = panels(figure, ["Visits, from where the last visit of the tile ended", "Pointings at the telescope"])
     _draw_visits(left, run)
     _draw_pointings(right, run)
     left.set_ylabel("Share within that time (%)")
+    handles, labels = left.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncol=len(handles))
     return figure
 
 
@@ -67,7 +70,6 @@ def _finish(axes: Axes, run: RunTables) -> None:
     as_percent(axes.yaxis)
     log_scale(axes, "x")
     axes.set_xlim(right=1.5 * CONSTANT_S)
-    add_legend(axes, loc="upper left")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ def draw(run: RunTables) -> Figure:
     """The plate of the shown visit."""
     if run.shown_visit is None:
         return empty_figure(new_figure(), "no visits: no robot moves")
-    figure = new_figure(8.6, 6.4)
+    figure = new_figure(height_in=6.2)
     axes = figure.add_subplot()
     axes.set_title(run.shown_visit.label)
     draw_plate(axes, run, read_plate(run, run.shown_visit))

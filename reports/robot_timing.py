@@ -34,7 +34,8 @@ def draw(run: RunTables) -> Figure:
     axes.axhline(p95.item(), color=INK, linestyle=IDEAL_DASHES, linewidth=1.0, label=f"95 % at rest: {p95.item():.1f} s")
     axes.set(title=f"{visit.label}: {len(moving)} robots move", xlim=(-1, len(moving)))
     axes.set(xlabel="Robots, in order of coming to rest", ylabel="Time from the start of the path (s)")
-    add_legend(axes, loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
+    axes.set_ylim(0, 1.15 * below.max())
+    add_legend(axes, loc="upper left", ncol=4)
     axes.grid(False, axis="x")
     return figure
 

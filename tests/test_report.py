@@ -158,7 +158,7 @@ def test_empty_figures_say_why(tmp_path: Path) -> None:
 
 def test_page_refers_to_nothing_outside(page: Path) -> None:
     reader = _read_page(page)
-    assert all(reference.startswith(("data:image/png;base64,", "#")) for reference in reader.references)
+    assert all(reference.startswith(("data:image/png;base64,", "#", "players/")) for reference in reader.references)
     assert not {"script", "link", "iframe", "object"} & set(reader.tags)
     assert "@import" not in page.read_text(encoding="utf-8")
     assert "url(" not in page.read_text(encoding="utf-8")
@@ -169,6 +169,8 @@ def test_page_links_lead_somewhere(page: Path) -> None:
     for reference in _read_page(page).references:
         if reference.startswith("#"):
             assert f'id="{reference[1:]}"' in text
+        elif not reference.startswith("data:"):
+            assert (page.parent / reference).is_file()
 
 
 def test_figures_are_files_too(page: Path) -> None:

@@ -238,17 +238,20 @@ class RunTables:
         counts = self.scan("legs").group_by("survey").agg(pl.len()).collect(engine="streaming")
         return dict(counts.iter_rows())
 
-    @cached_property
+    @property
     def shown_visit(self) -> Visit | None:
-        """The visit whose plate is drawn: the one set in `[report]`, else the one with the most crossings and robots."""
+        """The visit whose plate is drawn: the one set in `[report]`, else the busiest."""
         chosen = self.setting("report", "plate")
-        if chosen:
-            return Visit(*chosen)
+        return Visit(*chosen) if chosen else self.busiest_visit
+
+    @cached_property
+    def busiest_visit(self) -> Visit | None:
+        """The visit with the most crossings, and of those the one with the most robots on targets."""
         used = pl.col("n_science") + pl.col("n_standard") + pl.col("n_sky") + pl.col("n_guide")
-        busiest = self.visits.with_columns(used=used).sort(
+        order = self.visits.with_columns(used=used).sort(
             "crossings", "used", *VISIT_KEY, descending=[True, True, False, False, False]
         )
-        return Visit(*busiest.select(VISIT_KEY).row(0)) if len(busiest) else None
+        return Visit(*order.select(VISIT_KEY).row(0)) if len(order) else None
 
     @property
     def slowest_visit(self) -> Visit | None:

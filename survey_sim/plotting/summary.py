@@ -182,7 +182,7 @@ def _nights(run: RunTables) -> NightNumbers | None:
 
 def _named_visits(run: RunTables) -> dict[str, tuple[Visit, float]]:
     """Visits worth a look, with their configuration times, s."""
-    named = {"slowest": run.slowest_visit, "median": run.median_visit, "most crossings": run.shown_visit}
+    named = {"slowest": run.slowest_visit, "median": run.median_visit, "most crossings": run.busiest_visit}
     times = {}
     for name, visit in named.items():
         if visit is not None:

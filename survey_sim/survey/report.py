@@ -1,4 +1,4 @@
-"""The report of a run: every figure of `reports/` as PNG and PDF, and one HTML page that holds them all."""
+"""The report of a run: every figure of `reports/` as PNG and PDF, one HTML page that holds them all, and field players."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from markupsafe import Markup
 
 from survey_sim import tables
 from survey_sim.folders import data_folder
-from survey_sim.plotting import RunTables, Script, draw_script, find_scripts, summarise
+from survey_sim.plotting import RunTables, Script, Summary, draw_script, find_scripts, summarise
 from survey_sim.plotting.style import programme_lines, survey_colours
 from survey_sim.schema import TABLES
+from survey_sim.survey.field import view_field
 
 # What stands in a table where there is no number: an en dash.
 NOTHING = "\u2013"
-PAGE, STYLE = "page.html.jinja", "page.css"
+PAGE, STYLE, PLAYERS = "page.html.jinja", "page.css", "players"
 # Pixels of a screen to the inch, by which a figure is shown at the size for which it was drawn.
 _SCREEN_DPI = 96
 
@@ -70,10 +71,12 @@ def make_report(run_dir: Path) -> Path:
     folder = run_dir / "report"
     figures = Figures(run, find_scripts(reports), folder / "figures")
     figures.draw_all()
+    summary = summarise(run)
     page = _environment(reports).get_template(PAGE)
     text = page.render(
         run=run,
-        summary=summarise(run),
+        summary=summary,
+        players=_write_players(run, summary, folder),
         figures=figures,
         style=Markup((reports / STYLE).read_text(encoding="utf-8")),
         record=run.record,
@@ -84,6 +87,18 @@ def make_report(run_dir: Path) -> Path:
     )
     tables.write_bytes(text.encode(), folder / "index.html")
     return folder / "index.html"
+
+
+def _write_players(run: RunTables, summary: Summary, folder: Path) -> dict[str, str]:
+    """Field players of the visits worth a look, beside the page: path from the page, by what the visit is named for."""
+    if not run.has("legs"):
+        return {}
+    places = {}
+    for name, (visit, _) in summary.visits.items():
+        places[name] = f"{PLAYERS}/{name.replace(' ', '-')}.html"
+        survey, tile_id, visit_id = visit
+        view_field([run.folder], folder / places[name], survey=survey, tile_id=tile_id, visit_ids=[visit_id])
+    return places
 
 
 def _environment(folder: Path) -> jinja2.Environment:
