@@ -101,21 +101,19 @@ def reach_lists(robot_xy, patrol, is_guide, xy, is_for_guide, is_served):
 
 @njit(cache=True)
 def segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
-    """Whether segments a-b and c-d meet; one that has no length meets nothing."""
-    if (ax == bx and ay == by) or (cx == dx and cy == dy):
-        return False
+    """Whether segments a-b and c-d cross; ends that touch do not (a robot may take the place that another leaves)."""
     if max(ax, bx) < min(cx, dx) or max(cx, dx) < min(ax, bx) or max(ay, by) < min(cy, dy) or max(cy, dy) < min(ay, by):
         return False
     c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
     a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
     b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
-    return c_side * d_side <= 0.0 and a_side * b_side <= 0.0
+    return c_side * d_side < 0.0 and a_side * b_side < 0.0
 
 
 @njit(cache=True)
 def crossings(start_mm, end_mm):
-    """Number of pairs of robots whose straight ways meet.
+    """Number of pairs of robots whose straight ways cross.
 
     Parameters
     ----------
