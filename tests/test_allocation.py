@@ -3,10 +3,13 @@
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from survey_sim.allocation import ALGORITHMS, AllocationSettings, FieldTargets, LostReason, start_allocation
 from survey_sim.errors import InputError
 from survey_sim.instrument import load_instrument, make_plate
+from tests.mock_targets import clustered_xy, field_targets, survey_targets
 
 
 def table(x_mm, y_mm, **columns):
@@ -128,3 +131,92 @@ def test_every_robot_dead(algorithm):
     session, visits = run(targets, small_plate([(0.0, 0.0), (24.1, 0.0)], dead=[1, 2]), algorithm=algorithm)
     assert visits == []
     assert session.lost_reasons().tolist() == [LostReason.BLOCKED_BY_DEAD] * 2
+
+
+def assert_legal(visit, targets, plate, start_mm):
+    """One robot a target, ends in reach and on the plate, apart from each other, dead robots in place, counts as told."""
+    held, n_robot = visit.target, plate.n_robot
+    is_held = held >= 0
+    assert len(set(held[is_held])) == is_held.sum()
+    np.testing.assert_array_equal(visit.goal_mm[is_held], np.column_stack([targets.x_mm, targets.y_mm])[held[is_held]])
+    assert ((targets.kind[held[is_held]] == 3) == plate.is_guide[is_held]).all()
+    assert not is_held[~plate.is_live].any()
+    np.testing.assert_array_equal(visit.goal_mm[~plate.is_live], start_mm[~plate.is_live])
+    assert (np.hypot(*(visit.goal_mm - plate.park_mm).T) <= plate.patrol_radius_mm + 1e-6).all()
+    assert (np.hypot(*visit.goal_mm.T) <= plate.instrument.plate_radius_mm + 1e-6).all()
+    apart = np.hypot(*(visit.goal_mm[:, None] - visit.goal_mm[None]).transpose(2, 0, 1))
+    assert apart[~np.eye(n_robot, dtype=bool)].min(initial=np.inf) >= plate.instrument.min_separation_mm - 1e-6
+    assert sum(visit.counts.values()) == is_held.sum()
+    np.testing.assert_allclose(visit.travel_mm, np.hypot(*(visit.goal_mm - start_mm).T))
+
+
+@settings(deadline=None, max_examples=8)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["cda-basic", "cda-advanced", "matching", "plan"]))
+def test_every_visit_is_legal_whatever_arrives(seed, algorithm):
+    """Clustered science with all that holds a fibre, dead robots, and one robot in ten that does not get there."""
+    rng = np.random.default_rng(seed)
+    plate = make_plate(load_instrument("taipan-150"), dead=rng.choice(np.arange(1, 160), 6, replace=False).tolist())
+    targets = survey_targets(clustered_xy(int(rng.integers(0, 700)), seed), seed)
+    session = start_allocation(targets, plate, AllocationSettings(algorithm=algorithm, visits=4), rng)
+    position = plate.park_mm
+    before = session.n_done.copy()
+    while (visit := session.next_visit(position)) is not None:
+        start = plate.park_mm if visit.start == "park" else position
+        assert_legal(visit, targets, plate, start)
+        has_arrived = rng.random(plate.n_robot) < 0.9
+        session.record(visit, has_arrived)
+        gained = np.bincount(visit.target[(visit.target >= 0) & has_arrived], minlength=targets.n_target)
+        np.testing.assert_array_equal(session.n_done, before + gained)
+        before = session.n_done.copy()
+        position = visit.goal_mm
+    assert (session.n_done[targets.is_science] <= targets.wanted_visits[targets.is_science]).all()
+    is_lost = targets.is_science & ~session.is_complete
+    np.testing.assert_array_equal(session.lost_reasons() != LostReason.NONE, is_lost)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_order_of_rows_does_not_matter(algorithm):
+    xy, order = clustered_xy(300, 7), np.random.default_rng(1).permutation(300)
+    columns = pl.DataFrame({"target_id": np.arange(300) * 3, "x_mm": xy[:, 0], "y_mm": xy[:, 1]})
+    plate = make_plate(load_instrument("paper"))
+    runs = [
+        run(FieldTargets.from_table(rows), plate, algorithm=algorithm, visits=3)[1] for rows in (columns, columns[order])
+    ]
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a.target, b.target)
+
+
+def test_a_tile_goes_on_from_what_was_done_before():
+    targets = field_targets([(5.0, 0.0), (30.0, 0.0)])
+    plate = small_plate([(0.0, 0.0), (24.1, 0.0)])
+    session = start_allocation(targets, plate, AllocationSettings(), np.random.default_rng(1), n_done=[1, 0])
+    assert session.completeness_frac == 0.5
+    visit = session.next_visit(plate.park_mm)
+    assert visit.target.tolist() == [-1, 1]
+
+
+def test_reasons_tell_a_pair_from_a_crowd_and_priority_from_fibres():
+    plate = small_plate([(0.0, 0.0), (60.0, 0.0)], patrol_mm=20.0)
+    pair, crowd = [(0.0, 0.0), (2.0, 0.0)], [(60.0, 0.0), (62.0, 0.0), (61.0, 1.0)]
+    session, _ = run(field_targets(pair + crowd), plate, algorithm="matching", visits=1)
+    lost = session.lost_reasons()
+    assert sorted(lost[:2].tolist()) == [LostReason.NONE, LostReason.TOO_CLOSE_PAIR]
+    assert sorted(lost[2:].tolist()) == [LostReason.NONE, LostReason.CROWDED, LostReason.CROWDED]
+    alone = small_plate([(0.0, 0.0)], patrol_mm=20.0)
+    for priority, reason in ((1, LostReason.LOW_PRIORITY), (9, LostReason.NO_FIBRE_LEFT)):
+        targets = field_targets([(0.0, 0.0), (15.0, 0.0)], priority=[9, priority])
+        session, _ = run(targets, alone, algorithm="matching", visits=1)
+        assert sorted(session.lost_reasons().tolist()) == [LostReason.NONE, reason]
+
+
+def test_reasons_are_spelt_as_in_the_tables():
+    assert LostReason.OUT_OF_REACH.label == "out-of-reach"
+    assert LostReason.NO_FIBRE_LEFT.label == "no-fibre-left"
+
+
+def test_a_visit_must_be_recorded_before_the_next():
+    plate = small_plate([(0.0, 0.0)])
+    session = start_allocation(field_targets([(1.0, 0.0)]), plate, AllocationSettings(), np.random.default_rng(1))
+    session.next_visit(plate.park_mm)
+    with pytest.raises(RuntimeError, match="record"):
+        session.next_visit(plate.park_mm)

@@ -117,7 +117,7 @@ def test_cliques_are_cliques(seed, n):
     pairs = naive.near_pairs(xy, 9.0)
     part = clique_parts(xy, 9.0, first, near)
     assert all(i == j or part[i] != part[j] or (i, j) in pairs for i in range(n) for j in range(n))
-    clique_first, member = cliques_by_pair(xy, 9.0, first, near, 2)
+    clique_first, member = cliques_by_pair(xy, 9.0, first, near, 2, 100)
     covered = set()
     for k in range(len(clique_first) - 1):
         clique = member[clique_first[k] : clique_first[k + 1]].tolist()

@@ -1,11 +1,12 @@
 """The plan of all visits together: against exhaustion, against its bound, and when things go wrong."""
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from survey_sim.allocation import AllocationSettings, LostReason, completeness_bound, start_allocation
+from survey_sim.allocation import AllocationSettings, FieldTargets, LostReason, completeness_bound, start_allocation
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
 from tests.mock_targets import clustered_xy, field_targets, survey_targets, uniform_xy
@@ -46,9 +47,8 @@ def test_completeness_is_near_the_bound(places, n_visit):
 def test_as_many_visits_as_the_wanted_completeness_needs_and_no_more():
     xy, plate = uniform_xy(600, 2), make_plate(load_instrument("paper"))
     for wanted in (0.3, 0.7):
-        targets = field_targets(xy).__class__.from_table(
-            __import__("polars").DataFrame({"target_id": np.arange(600), "x_mm": xy[:, 0], "y_mm": xy[:, 1]}), wanted
-        )
+        table = pl.DataFrame({"target_id": np.arange(600), "x_mm": xy[:, 0], "y_mm": xy[:, 1]})
+        targets = FieldTargets.from_table(table, wanted)
         session, visits = run(targets, plate)
         assert session.completeness_frac >= wanted
         assert completeness_bound(targets, plate, len(visits) - 1) < wanted
@@ -63,6 +63,16 @@ def test_repeats_fall_in_different_visits():
         assert len(held) == len(set(held))
     total = np.bincount(np.concatenate([v.target[v.target >= 0] for v in visits]), minlength=200)
     np.testing.assert_array_equal(total, targets.wanted_visits)
+
+
+def test_every_programme_gets_the_completeness_that_it_wants():
+    xy, is_star = clustered_xy(900, 2), np.arange(900) % 5 > 0
+    columns = {"programme": np.where(is_star, "stars", "galaxies").tolist(), "wanted_visits": np.where(is_star, 1, 5)}
+    table = pl.DataFrame({"target_id": np.arange(900), "x_mm": xy[:, 0], "y_mm": xy[:, 1], **columns})
+    wanted = {"stars": 0.5, "galaxies": 0.7}
+    session, _ = run(FieldTargets.from_table(table, wanted), make_plate(load_instrument("paper")))
+    assert session.is_complete[is_star].mean() >= wanted["stars"]
+    assert session.is_complete[~is_star].mean() >= wanted["galaxies"]
 
 
 def test_a_part_of_a_target_is_worth_nothing():

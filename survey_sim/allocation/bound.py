@@ -17,6 +17,8 @@ from survey_sim.instrument import Plate
 
 # Radii of the windows in which the most targets apart are counted, in separations: neighbours of a target, and a bit more.
 WINDOW_RADII = (1.0, 1.5)
+# Cliques grown from each target: all of them where targets are not very crowded.
+N_SEED = 8
 # Parts of a fibre that flows are counted in.
 FLOW_UNIT = 100
 
@@ -112,7 +114,7 @@ def _rank_rows(field: Field, chosen: IntArray, n_visits: int) -> tuple[list[IntA
     """Sets of targets that cannot all be served in so many visits, each with the fibres that they can get."""
     xy, separation, first, near = _neighbours(field, chosen)
     rows: dict[tuple[int, ...], int] = {}
-    clique_first, member = cliques_by_pair(xy, separation, first, near, n_visits + 1)
+    clique_first, member = cliques_by_pair(xy, separation, first, near, n_visits + 1, N_SEED)
     for begin, end in pairwise(clique_first):
         rows[tuple(member[begin:end].tolist())] = n_visits
     for radius in WINDOW_RADII:

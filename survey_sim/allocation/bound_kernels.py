@@ -124,21 +124,24 @@ def windows_within(xy, radius):
 @njit(cache=True)
 def _grow(grown, size, i, xy, separation, first, near, is_shut):
     """Add neighbours of i to a clique that holds i, each time the one whose farthest member is nearest; the new size."""
+    mine = near[first[i] : first[i + 1]]
+    farthest = np.zeros(len(mine))
+    for q in range(len(mine)):
+        if is_shut[mine[q]]:
+            farthest[q] = np.inf
+    n_seen = 0
     while True:
         best, nearest = -1, separation * separation
-        for q in range(first[i], first[i + 1]):
-            j = near[q]
-            if is_shut[j]:
-                continue
-            farthest = 0.0
-            for b in range(size):
-                d = (xy[j, 0] - xy[grown[b], 0]) ** 2 + (xy[j, 1] - xy[grown[b], 1]) ** 2
-                farthest = max(farthest, np.inf if grown[b] == j else d)
-            if farthest < nearest:
-                best, nearest = j, farthest
+        for q in range(len(mine)):
+            for b in range(n_seen, size):
+                d = (xy[mine[q], 0] - xy[grown[b], 0]) ** 2 + (xy[mine[q], 1] - xy[grown[b], 1]) ** 2
+                farthest[q] = max(farthest[q], np.inf if grown[b] == mine[q] else d)
+            if farthest[q] < nearest:
+                best, nearest = q, farthest[q]
+        n_seen = size
         if best < 0:
             return size
-        grown[size] = best
+        grown[size] = mine[best]
         size += 1
 
 
@@ -162,16 +165,20 @@ def clique_parts(xy, separation, first, near):
 
 
 @njit(cache=True)
-def cliques_by_pair(xy, separation, first, near, least):
-    """A clique grown from every pair of near targets, those of at least so many members: (first (n_clique + 1,), member)."""
+def cliques_by_pair(xy, separation, first, near, least, n_seed):
+    """Cliques of at least so many members: (first (n_clique + 1,), member).
+
+    One is grown from every pair of near targets, or, of a target with more neighbours than `n_seed`, from about so many.
+    """
     is_shut = np.zeros(len(xy), np.bool_)
     grown = np.empty(len(xy), np.int32)
-    clique_first = np.zeros(len(near) // 2 + 1, np.int64)
+    clique_first = np.zeros(len(near) + 1, np.int64)
     member = np.empty(1024, np.int32)
     n = m = 0
     for i in range(len(xy)):
-        for k in range(first[i], first[i + 1]):
-            if near[k] < i:
+        n_near = first[i + 1] - first[i]
+        for k in range(first[i], first[i + 1], max(1, n_near // n_seed)):
+            if near[k] < i and n_near <= n_seed:
                 continue
             grown[0], grown[1] = i, near[k]
             size = _grow(grown, 2, i, xy, separation, first, near, is_shut)
