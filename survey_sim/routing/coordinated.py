@@ -2,7 +2,7 @@
 
 Everybody starts by the quicker direct plan, at once. Pairs that come too near are conflicts, and robots in conflict are
 planned again one at a time: the delays of their direct plans first (the forbidden ones are intervals, in closed form),
-then sampled detours of one or two way points with waits; idle robots step aside and come back. A plan is taken if it
+then sampled detours of one to three way points with waits; idle robots step aside and come back. A plan is taken if it
 lowers the score of its robot's conflicts: each weighs more the nearer the pair comes, and more with each low point that it
 survives, so that two robots can share an evasion and none is stuck. What fails at the bound is tried at longer durations
 until one holds, and then shortened from there by halves.
@@ -22,6 +22,8 @@ from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 N_SAMPLE = 12
 # Steps at one duration before another is tried.
 N_QUICK = 200
+# The same, before a robot is given up.
+N_PATIENT = 2000
 
 
 def route_coordinated(
@@ -48,7 +50,11 @@ def _plan(
         # Idle robots among others that stand too near have nothing to wait for.
         bound = max(bound, 1.0)
         kept = new_plans(problem, is_fixed)
-        while not kernels.coordinate(phys, plans, kept, rng, bound, N_QUICK, steps, N_SAMPLE, separation, margin):
+        n_quick = N_QUICK
+        while not kernels.coordinate(phys, plans, kept, rng, bound, n_quick, steps, N_SAMPLE, separation, margin):
+            if n_quick < N_PATIENT:
+                n_quick = N_PATIENT
+                continue
             robot = kernels.ground_worst(plans, separation, margin)
             reason[robot] = UnroutedReason.NO_PATH
             for other in _cascade(problem, plans):

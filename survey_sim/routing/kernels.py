@@ -798,13 +798,14 @@ def _clear_of(plans, rng, i, j, separation):
 
 @njit(cache=True)
 def sample_shape(phys, plans, rng, i, partner, duration, separation, shape):
-    """A random detour of one or two way points; (n_leg, n_knot, time, leg to be delayed), n_knot 0 if it cannot be."""
+    """A random detour of one to three way points, or the present one varied; (n_leg, n_knot, time, leg to be delayed), n_knot 0 if it cannot be."""
     x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
     ex, ey = x1 - x0, y1 - y0
     length = np.hypot(ex, ey)
     spare = max(0.0, (duration - plans.alone[i]) * phys.coarse)
     aside = min(25.0, np.sqrt((length + spare) ** 2 - length * length) / 2)
-    n_via = 1 if rng.random() < 0.8 else 2
+    share = rng.random()
+    n_via = 1 if share < 0.75 else (2 if share < 0.93 else 3)
     is_varied = plans.n_leg[i] > 1 and rng.random() < 0.4
     if is_varied:
         n_via = plans.n_leg[i] - 1
