@@ -160,7 +160,7 @@ def take_in_order(pair_robot, pair_target, limit, first, near, start_xy, xy, shu
     """
     n_taken = 0
     for p in range(len(pair_robot)):
-        if n_taken == limit:
+        if n_taken >= limit:
             break
         r, t = pair_robot[p], pair_target[p]
         if held[r] >= 0 or not is_open[t]:
@@ -353,7 +353,7 @@ def pick_apart(candidates, limit, first, near, is_open, is_picked):
     """
     n = 0
     for t in candidates:
-        if n == limit:
+        if n >= limit:
             break
         if is_picked[t] or not is_open[t]:
             continue

@@ -100,7 +100,7 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
 
     def take(chosen: BoolArray, limit: int) -> None:
         take_in_order(
-            robot[chosen], pair_target[chosen], max(0, limit), field.near_first, field.near, request.start_mm, field.xy_mm,
+            robot[chosen], pair_target[chosen], limit, field.near_first, field.near, request.start_mm, field.xy_mm,
             False, is_open, held,
         )  # fmt: skip
 
