@@ -45,6 +45,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m survey_sim.survey.warm
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.installed
