@@ -798,7 +798,10 @@ def _clear_of(plans, rng, i, j, separation):
 
 @njit(cache=True)
 def sample_shape(phys, plans, rng, i, partner, duration, separation, shape):
-    """A random detour of one to three way points, or the present one varied; (n_leg, n_knot, time, leg to be delayed), n_knot 0 if it cannot be."""
+    """A random detour of one to three way points, or the present one varied.
+
+    Returns (n_leg, n_knot, time, leg to be delayed); n_knot is 0 if the detour cannot be.
+    """
     x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
     ex, ey = x1 - x0, y1 - y0
     length = np.hypot(ex, ey)
