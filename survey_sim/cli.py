@@ -21,7 +21,7 @@ BAD_INPUT = 2
 class Commands(typer.core.TyperGroup):
     """Commands whose errors become one readable block on stderr and an exit code."""
 
-    def invoke(self, ctx: typer.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         """Run the command that was named."""
         try:
             return super().invoke(ctx)

@@ -69,8 +69,8 @@ class Run:
         made = [folder for folder in (self.state, self.folder, *self.folder.parents) if not folder.exists()]
         try:
             self.state.mkdir(parents=True, exist_ok=True)
-            with (self.state / "lock").open("w") as file:
-                _lock(file, self.folder)
+            with (self.state / "lock").open("w") as lock:
+                _lock(lock, self.folder)
                 tables.clean_up(self.folder)
                 yield
         except PermissionError as failure:
@@ -97,8 +97,8 @@ class Run:
         header = {"package": "survey-sim", "version": __version__, "schema_version": SCHEMA_VERSION}
         path = self.folder / "run.json"
         known = read_record(self.folder) if path.is_file() else {}
-        kept = {key: known[key] for key in ("stages", "catalogues", "targets", "warnings") if key in known}
-        entries = {
+        kept: dict[str, Any] = {key: known[key] for key in ("stages", "catalogues", "targets", "warnings") if key in known}
+        entries: dict[str, Any] = {
             **header,
             "name": self.settings.run.name,
             "seed": self.settings.run.seed,
