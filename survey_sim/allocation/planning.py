@@ -17,6 +17,8 @@ N_SWEEP = 8
 HOT_MM, COLD_MM = 25.0, 8.0
 EXCHANGE_RADIUS_MM = 40.0
 N_EXCHANGE = 10
+# An old plan of which so much goes on is mended, not shortened again.
+KEPT_FRAC = 0.9
 # Rounds that give up the targets least begun of those that cannot get all their visits.
 N_GIVE_UP = 4
 
@@ -69,8 +71,8 @@ class Planner:
         old = self._is_planned[:, :limit]
         least = min(limit, max(search.least_visits(), old.shape[1]))
         n_visit = least if settings.visits is None else limit
-        visit_of = search.visits_of(old)
-        visit_of, guides = search.fill(n_visit, visit_of)
+        kept = search.visits_of(old)
+        visit_of, guides = search.fill(n_visit, kept)
         while settings.visits is None and (lack := search.lack(visit_of)).any():
             if search.favour(lack > 0):
                 visit_of, guides = search.fill(n_visit, visit_of)
@@ -82,7 +84,8 @@ class Planner:
             if (wider >= 0).sum() <= (visit_of >= 0).sum():
                 break
             n_visit, visit_of, guides = n_visit + more, wider, wider_guides
-        visit_of = search.shorten(n_visit, visit_of, guides)
+        if (kept >= 0).sum() < KEPT_FRAC * (visit_of >= 0).sum():
+            visit_of = search.shorten(n_visit, visit_of, guides)
         self._is_planned = np.zeros((field.targets.n_target, n_visit), dtype=bool)
         is_placed = visit_of >= 0
         self._is_planned[search.item_target[is_placed], visit_of[is_placed]] = True
