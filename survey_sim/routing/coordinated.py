@@ -47,8 +47,6 @@ def _plan(
     kernels.start_directly(phys, plans, separation, margin)
     if plans.n_conflict.any():
         bound, steps = float(plans.alone.max()), settings.n_repair
-        # Idle robots among others that stand too near have nothing to wait for.
-        bound = max(bound, 1.0)
         kept = new_plans(problem, is_fixed)
         n_quick = N_QUICK
         while not kernels.coordinate(phys, plans, kept, rng, bound, n_quick, steps, N_SAMPLE, separation, margin):

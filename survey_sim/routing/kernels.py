@@ -1026,11 +1026,13 @@ def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separat
     """
     if repair(phys, plans, rng, bound, n_quick, n_sample, separation, margin) >= 0:
         return True
+    # A field of short hops may need long detours: longer by shares of the bound, or of this, s.
+    unit = max(bound, 10.0)
     failed, stretch = bound, 1.02
     while True:
-        if repair(phys, plans, rng, bound * stretch, n_quick, n_sample, separation, margin) >= 0:
+        if repair(phys, plans, rng, bound + (stretch - 1.0) * unit, n_quick, n_sample, separation, margin) >= 0:
             break
-        failed = bound * stretch
+        failed = bound + (stretch - 1.0) * unit
         if stretch > 8.0:
             return False
         stretch = 1.0 + 1.6 * (stretch - 1.0)
