@@ -6,17 +6,18 @@ Share of each programme's targets that have been observed in all the visits they
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import add_legend
+from survey_sim.plotting.axes import add_legend, empty_figure
 from survey_sim.plotting.timeline import draw_timeline
 
 
 def draw(run: RunTables) -> Figure:
     """Completeness of each programme, night by night."""
     figure = new_figure(height_in=3.8)
+    if not run.is_scheduled:
+        return empty_figure(figure, "no nights were scheduled")
     axes = figure.add_subplot()
     draw_timeline(axes, run)
-    if run.is_scheduled:
-        add_legend(axes, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=3, columnspacing=1.5)
+    add_legend(axes, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=3, columnspacing=1.5)
     return figure
 
 

@@ -16,12 +16,10 @@ def draw(run: RunTables) -> Figure:
     """Bars of reasons, one a programme."""
     lost = run.lost_counts
     if run.science.is_empty() or lost.is_empty():
-        return empty_figure(
-            new_figure(height_in=1.6), "no target is incomplete" if len(run.science) else "no science targets"
-        )
+        return empty_figure(new_figure(), _why_empty(run))
     reasons = lost.group_by("reason").agg(pl.col("n_target").sum()).sort("n_target", "reason")["reason"].to_list()
     programmes = [programme for programme in run.programmes if programme.n_target]
-    figure = new_figure(height_in=1.1 + 0.2 * len(reasons) * (len(programmes) + 0.6))
+    figure = new_figure(height_in=1.3 + 0.2 * len(reasons) * (len(programmes) + 0.6))
     axes = figure.add_subplot()
     height = 0.84 / len(programmes)
     for number, programme in enumerate(programmes):
@@ -38,8 +36,15 @@ def draw(run: RunTables) -> Figure:
     as_percent(axes.xaxis)
     axes.grid(False, axis="y")
     axes.margins(x=0.1)
-    add_legend(axes, loc="lower right")
+    add_legend(axes, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=3)
     return figure
+
+
+def _why_empty(run: RunTables) -> str:
+    if run.science.is_empty():
+        return "no science targets"
+    done = run.science["is_observed" if run.is_scheduled else "is_allocated"]
+    return "every target is complete" if done.all() else "the run's tables give no reasons"
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ def draw(run: RunTables) -> Figure:
     _draw_paths(grid[1], run, "ticks", np.arange(0, ticks + 2, max(1, ticks // N_BIN)) - 0.5)
     grid[1].set(xlabel="Ticks of the path", ylabel="Paths")
     whole_numbers(grid[1].xaxis, 6)
+    grid[1].set_ylim(top=1.3 * grid[1].get_ylim()[1])
     add_legend(grid[1], loc="upper right")
     _draw_unrouted(grid[2], run)
     return figure

@@ -22,7 +22,7 @@ def draw(run: RunTables) -> Figure:
     rows, columns = (len(surveys), 1) if frame.is_whole else (1, len(surveys))
     aspect = frame.shape[0] / frame.shape[1]
     width = min((FULL_WIDTH - 1.2) / columns - 0.5, 3.2 / aspect if frame.is_whole else 4.4 / aspect)
-    figure = new_figure(min(FULL_WIDTH, columns * width + 2.2), rows * (width * aspect + 0.55))
+    figure = new_figure(min(FULL_WIDTH, columns * width + 2.2), max(2.8, rows * (width * aspect + 0.55)))
     grid = figure.add_gridspec(rows, columns)
     drawn = [draw_completeness(figure, grid[place], run, survey, frame) for place, survey in enumerate(surveys)]
     for (axes, _), survey in zip(drawn, surveys, strict=True):

@@ -27,6 +27,7 @@ def write_run(
     unrouted: bool = False,
     settings: dict[str, Any] | None = None,
     without: tuple[str, ...] = (),
+    record: tuple[str, ...] | None = None,
 ) -> Path:
     """Write a run into a folder.
 
@@ -42,6 +43,8 @@ def write_run(
         Sections of the pipeline's settings besides the usual.
     without
         Tables that are not written.
+    record
+        Entries of run.json that are written; all by default.
     """
     rng = np.random.default_rng(5)
     plate = make_plate(load_instrument("taipan-150", {"n_science": 12}), dead=(3,))
@@ -60,14 +63,15 @@ def write_run(
         tiles.join(made, on=["survey", "tile_id"], how="left").with_columns(n_target=pl.col("len").fill_null(0)).drop("len")
     )
     status = _status(rng, targets)
+    visits = _visit_tables(rng, tiles, targets, plate, n_visit, unrouted)
     frames = {
         "robots": pl.concat([robots_table(plate, survey) for survey in surveys]),
         "targets": targets,
         "rejected": tables.empty("rejected"),
         "tiles": tiles,
-        **_visit_tables(rng, tiles, plate, n_visit, unrouted),
-        "unallocated": status.filter(pl.col("reason") == "crowded").select(
-            "target_id", "survey", "tile_id", "reason", n_allocated=pl.lit(0)
+        **visits,
+        "unallocated": targets.filter(~pl.col("target_id").is_in(visits["allocations"]["target_id"].implode())).select(
+            "target_id", "survey", "tile_id", n_allocated=pl.lit(0), reason=pl.lit("crowded")
         ),
         **_night_tables(rng, tiles, n_visit, [name for name, _ in programmes]),
         "target_status": status.drop("tile_id"),
@@ -77,7 +81,7 @@ def write_run(
         if name not in without:
             path = folder / name / "part-00000.parquet" if TABLES[name].is_in_parts else folder / f"{name}.parquet"
             tables.write(frame, name, path)
-    record = {
+    entries = {
         "package": "survey-sim",
         "version": "0",
         "schema_version": 1,
@@ -96,7 +100,8 @@ def write_run(
         "catalogues": {"counts": {"mock": {"rows": 10}}, "sha256": {"mock": "00ff"}},
         "warnings": {"schedule": ["survey <b>taipan</b>: a warning"]},
     }
-    (folder / "run.json").write_text(json.dumps(record))
+    kept = {key: value for key, value in entries.items() if record is None or key in record}
+    (folder / "run.json").write_text(json.dumps(kept))
     return folder
 
 
@@ -138,11 +143,13 @@ def _status(rng: np.random.Generator, targets: pl.DataFrame) -> pl.DataFrame:
 
 
 def _visit_tables(
-    rng: np.random.Generator, tiles: pl.DataFrame, plate: Any, n_visit: int, unrouted: bool
+    rng: np.random.Generator, tiles: pl.DataFrame, targets: pl.DataFrame, plate: Any, n_visit: int, unrouted: bool
 ) -> dict[str, pl.DataFrame]:
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in ("visits", "allocations", "paths", "legs", "robot_times")}
     for tile in tiles.iter_rows(named=True):
         before = plate.park_mm
+        of_tile = targets.filter(survey=tile["survey"], tile_id=tile["tile_id"]).sort(pl.col("target_id") % 1000)
+        own = iter(of_tile["target_id"].to_list())
         for visit in range(n_visit):
             keys = {"survey": tile["survey"], "tile_id": tile["tile_id"], "visit_id": visit}
             after = plate.park_mm + rng.uniform(-5, 5, plate.park_mm.shape) * plate.is_live[:, None]
@@ -177,7 +184,8 @@ def _visit_tables(
             for robot, (x, y) in enumerate(after):
                 kind = None if not plate.is_live[robot] else KINDS[robot % 4]
                 name = {"robot_id": int(plate.robot_id[robot])}
-                held = {"target_id": None if kind is None else robot, "kind": kind}
+                target = next(own, None) if kind == "science" else robot if kind else None
+                held = {"target_id": target, "kind": kind if target is not None else None}
                 rows["allocations"].append({**keys, **name, **held, "x_mm": x, "y_mm": y, "travel_mm": travel[robot]})
                 for path in PATHS:
                     spent = {"rotating_s": 0.5, "moving_s": travel[robot] / 2, "waiting_s": float(robot % 3)}

@@ -49,6 +49,10 @@ UNITS = {
 VARIANTS = {
     "no schedule": {"without": ("exposures", "nights", "target_status")},
     "no exposures": {"n_visit": 0},
+    "allocations alone": {
+        "without": ("exposures", "nights", "target_status", "unallocated", "legs", "paths", "robot_times", "rejected"),
+        "record": ("package", "version", "schema_version", "name", "instrument"),
+    },
     "no targets": {"n_target": 0},
     "no tiles": {"n_tile": 0},
     "single tile, visit, programme": {"programmes": (("one", "solo"),), "n_tile": 1, "n_visit": 1},
@@ -208,6 +212,8 @@ def test_numbers_are_those_of_the_tables(run_dir: Path) -> None:
         own = status.filter(programme=programme.row.name)
         assert programme.row.n_target == len(own)
         assert programme.done_frac == own["reason"].is_null().mean()
+        lost = own.join(pl.read_parquet(run_dir / "unallocated.parquet"), on="target_id", how="semi")
+        assert 0 < programme.row.n_allocated == len(own) - len(lost)
         assert programme.reached == "2016-01-05"  # 0.6 x 5/5 is the first of the steps at or above 0.5
     taipan = next(survey for survey in summary.surveys if survey.name == "taipan")
     visits = pl.read_parquet(run_dir / "visits.parquet").filter(survey="taipan")

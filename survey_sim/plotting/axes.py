@@ -29,7 +29,8 @@ def say_empty(axes: Axes, text: str) -> None:
 
 
 def empty_figure(figure: Figure, text: str) -> Figure:
-    """The figure with one panel that says why there is nothing in it."""
+    """The figure, as low as a line of text, with one panel that says why there is nothing in it."""
+    figure.set_size_inches(figure.get_figwidth(), 1.0)
     axes = figure.add_subplot()
     axes.spines[:].set_visible(False)
     say_empty(axes, text)
@@ -77,7 +78,7 @@ def date_axis(axes: Axes) -> None:
     locator = dates.AutoDateLocator(minticks=3, maxticks=9)
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))
-    axes.set_xlabel("Evening of the night (UTC date)")
+    axes.set_xlabel("Evening (UTC date)")
 
 
 def by_visit(visits: pl.DataFrame, column: str) -> pl.DataFrame:

@@ -86,6 +86,8 @@ def draw_plate(axes: Axes, run: RunTables, plate: PlateVisit) -> None:
     axes.add_collection(LineCollection(plate.ways_mm, colors=INK, linewidths=0.9, zorder=3, label="move"))
     for kind, marker in KIND_MARKERS.items():
         held = plate.robots.filter(kind=kind)
+        if held.is_empty():
+            continue
         colour = hue if kind == "science" else KIND_COLOURS[kind]
         axes.scatter(
             held["x_mm"],

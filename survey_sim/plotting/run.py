@@ -159,10 +159,9 @@ class RunTables:
     def science(self) -> pl.DataFrame:
         """Science targets with what became of them: `is_allocated`, `is_observed` (all wanted visits), `reason`."""
         targets = self.scan("targets").filter(pl.col("kind") == "science")
-        lost = self.scan("unallocated").select("target_id", is_lost=pl.lit(True))
-        status = self.scan("target_status").select("target_id", "n_observed", "reason", has_status=pl.lit(True))
+        status = self.scan("target_status").select("target_id", "reason", has_status=pl.lit(True))
         return (
-            targets.join(lost, on="target_id", how="left", maintain_order="left")
+            targets.join(self._allocated(), on="target_id", how="left", maintain_order="left")
             .join(status, on="target_id", how="left", maintain_order="left")
             .select(
                 "survey",
@@ -171,12 +170,18 @@ class RunTables:
                 "ra_deg",
                 "dec_deg",
                 "mag",
-                is_allocated=pl.col("is_lost").is_null() if self.has("unallocated") else pl.lit(False),
+                is_allocated=pl.col("n_visit") >= pl.max_horizontal("wanted_visits", 1),
                 is_observed=pl.col("has_status").fill_null(False) & pl.col("reason").is_null(),
                 reason=pl.col("reason").cast(pl.Categorical),
             )
+            .with_columns(pl.col("is_allocated").fill_null(False))
             .collect()
         )
+
+    def _allocated(self) -> pl.LazyFrame:
+        """Visits in which a robot reaches each science target: `target_id`, `n_visit`."""
+        reached = self.scan("allocations").filter(pl.col("kind") == "science").select("target_id")
+        return reached.group_by("target_id").agg(n_visit=pl.len())
 
     @cached_property
     def surveys(self) -> list[str]:

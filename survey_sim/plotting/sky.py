@@ -203,4 +203,4 @@ def lowest_completeness(run: RunTables) -> float:
 
 def completeness_words(run: RunTables) -> str:
     """What the colour of a completeness map means."""
-    return "Targets complete" if run.is_scheduled else "Targets allocated (nothing was scheduled)"
+    return "Targets complete (%)" if run.is_scheduled else "Targets allocated (%)"
