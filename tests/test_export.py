@@ -123,6 +123,13 @@ class TestPrograms:
             counted = stilts("tpipe", f"in={path}", f"ifmt={form}", *select)
             assert f"rows: {n_waiting}" in counted
 
+    def test_votlint_is_clean_of_binary(self, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(export, "N_TEXT_ROWS_MAX", 0)
+        for path in export_run(run, tmp_path, "votable"):
+            assert b"<BINARY>" in path.read_bytes()
+            assert stilts("votlint", f"votable={path}") == "", path.name
+            assert len(Table.read(path)) == tables.read(run, path.stem).height
+
     def test_exchange_files_in_stilts(self, run: Path, tmp_path: Path) -> None:
         for path in export_exchange(run, tmp_path):
             assert stilts("votlint", f"votable={path}") == "", path.name

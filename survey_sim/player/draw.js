@@ -33,7 +33,11 @@ class PlateView {
 
   resetView() { this.zoom = 1; this.panX = 0; this.panY = 0; this.stale = true; }
 
-  show(plate, visit, route) { this.plate = plate; this.visit = visit; this.route = route; this.stale = true; }
+  /* holds: whether the path leads to this visit's targets. */
+  show(plate, visit, route, holds) {
+    this.plate = plate; this.visit = visit; this.route = route; this.stale = true;
+    this.held = holds ? visit.target : visit.target.map(() => null);
+  }
 
   frame() {
     const { width, height } = sized(this.canvas);
@@ -115,12 +119,12 @@ class PlateView {
   }
 
   drawTargets(context) {
-    const { targets } = this.visit, held = new Set(this.visit.target);
+    const { targets } = this.visit, held = new Set(this.held);
     const size = Math.max(2, 0.85 * this.scale) * Math.min(1, 1.6 / Math.sqrt(this.zoom) + 0.4);
     targets.x.forEach((x, k) => {
       const kind = targets.kind[k], px = this.toX(x), py = this.toY(targets.y[k]);
       const isHeld = held.has(targets.id[k]);
-      context.globalAlpha = isHeld ? 1 : kind === "science" ? 0.2 + 0.5 * ((targets.priority[k] - 1) / 8) : 0.65;
+      context.globalAlpha = isHeld ? 1 : kind === "science" ? 0.2 + 0.5 * ((targets.priority[k] - 1) / 8) : 0.4;
       context.fillStyle = context.strokeStyle = (KIND_COLOURS[kind] || KIND_COLOURS.science)[this.look.theme];
       context.lineWidth = 1.2;
       context.beginPath();
@@ -193,7 +197,7 @@ class PlateView {
     for (let i = 0; i < sample.x.length; i++) {
       const px = this.toX(sample.x[i]), py = this.toY(sample.y[i]), isDead = !plate.live[i];
       context.beginPath(); context.arc(px, py, body, 0, TURN);
-      const hasTarget = this.visit.target[i] !== null;
+      const hasTarget = this.held[i] !== null;
       context.fillStyle = isDead ? dead : sample.state[i] < RESTING ? colours[sample.state[i]] : hasTarget ? rest : idle;
       context.globalAlpha = 0.9; context.fill(); context.globalAlpha = 1;
       context.lineWidth = plate.guide[i] ? 2.2 : 0.8;

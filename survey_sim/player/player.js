@@ -197,7 +197,8 @@ class Player {
     this.time = 0;
     for (const [run, pane] of this.panes.entries()) {
       pane.route = this.route(run);
-      pane.view.show(this.data.plates[this.visitData(run).plate], this.visitData(run), pane.route);
+      const visit = this.visitData(run);
+      pane.view.show(this.data.plates[visit.plate], visit, pane.route, this.path !== "start_to_park");
     }
     this.duration = Math.max(...this.panes.map((pane) => pane.route.duration));
     this.look.duration = this.duration;
@@ -298,6 +299,7 @@ class Player {
   showLegend() {
     const colours = PALETTES[this.look.palette][this.look.theme];
     document.querySelectorAll("[data-state]").forEach((item) => { item.style.background = colours[+item.dataset.state]; });
+    document.querySelectorAll("[data-kind]").forEach((item) => { item.style.color = KIND_COLOURS[item.dataset.kind][this.look.theme]; });
   }
 
   redraw() {

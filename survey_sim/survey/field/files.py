@@ -37,7 +37,7 @@ def export_exchange(
     Parameters
     ----------
     survey, tile_id
-        By default the first tile that has most visits.
+        By default the tile in which most science targets are reached.
 
     Returns
     -------

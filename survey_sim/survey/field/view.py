@@ -40,7 +40,7 @@ def view_field(
     out
         By default `view.html` in the first folder, or beside the first file under its name.
     survey, tile_id, visit_ids
-        What to show of run folders; by default all visits of the first tile that has most of them.
+        What to show of run folders; by default all visits of the tile in which most targets are reached.
 
     Returns
     -------
@@ -102,14 +102,14 @@ def _run_of_files(paths: Sequence[Path], given: Plate | None) -> PlayerRun:
 
 
 def choose_tile(run_dir: Path, survey: str | None, tile_id: int | None) -> tuple[str, int]:
-    """The tile asked for, or the first of those with most visits."""
+    """The tile asked for, or the one in which most science targets are reached."""
     visits = tables.scan(run_dir, "visits")
     if survey is not None:
         visits = visits.filter(survey=survey)
     if tile_id is not None:
         visits = visits.filter(tile_id=tile_id)
-    counted = visits.group_by("survey", "tile_id").len().sort("len", "survey", "tile_id", descending=[True, False, False])
-    best = counted.collect()
+    science = visits.group_by("survey", "tile_id").agg(pl.col("n_science").sum())
+    best = science.sort("n_science", "survey", "tile_id", descending=[True, False, False]).collect()
     if best.is_empty():
         raise InputError("has no visit there", file=run_dir, place="--survey, --tile", remedy="visits.parquet lists them")
     return best["survey"][0], best["tile_id"][0]
@@ -118,8 +118,8 @@ def choose_tile(run_dir: Path, survey: str | None, tile_id: int | None) -> tuple
 def tile_targets(run_dir: Path, plate: Plate, survey: str, tile_id: int) -> pl.DataFrame:
     """Targets on the plate of a tile: its own, and those that any tile may use."""
     tile = tables.scan(run_dir, "tiles").filter(survey=survey, tile_id=tile_id).collect().row(0, named=True)
-    is_own = (pl.col("tile_id") == tile_id) & (pl.col("survey") == survey)
-    targets = tables.scan(run_dir, "targets").filter(is_own | pl.col("tile_id").is_null()).collect()
+    is_here = (pl.col("tile_id") == tile_id) | pl.col("tile_id").is_null()
+    targets = tables.scan(run_dir, "targets").filter(is_here, survey=survey).collect()
     ra, dec = (targets[name].to_numpy() for name in ("ra_deg", "dec_deg"))
     position = sky_to_plate(ra, dec, (tile["ra_deg"], tile["dec_deg"]), plate.instrument.plate_scale_arcsec_mm)
     is_on_plate = np.hypot(*position.T) <= plate.instrument.plate_radius_mm
