@@ -5,16 +5,12 @@ BIN := $(VENV)/bin
 WORKERS ?=
 
 .DEFAULT_GOAL := demo
-.PHONY: demo test lint bench docs catalogues survey soak clean help
+.PHONY: demo test lint bench docs catalogues survey system clean help
 
 demo: $(VENV)/.installed  ## install, and run pipelines/demo.toml into runs/demo (the default)
 	$(BIN)/survey-sim run pipelines/demo.toml $(if $(WORKERS),--workers $(WORKERS))
 
-test: $(VENV)/.dev  ## install what the tests need, and run them
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
+test: lint  ## install what the tests need, and run them
 	$(BIN)/pytest
 
 lint: $(VENV)/.dev  ## style, types and the rooms' import directions
@@ -32,6 +28,13 @@ docs: $(VENV)/.installed  ## write docs/data-model.md from the schema
 catalogues: $(VENV)/.installed  ## make the mock catalogues in the cache, and check all cards
 	$(BIN)/survey-sim catalogue make taipan-mock
 	$(BIN)/survey-sim catalogue list
+
+survey: $(VENV)/.installed  ## run pipelines/five-year.toml: both surveys, five years, in some tens of minutes
+	$(BIN)/survey-sim run pipelines/five-year.toml $(if $(WORKERS),--workers $(WORKERS))
+
+system:  ## Debian packages that tests with other programs need (as root); without them those tests are skipped
+	apt-get update -qq
+	apt-get install -y -qq --no-install-recommends stilts chromium chromium-driver
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
