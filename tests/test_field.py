@@ -328,6 +328,18 @@ class TestDoor:
         with pytest.raises(InputError, match="another plate"):
             route_field([*xml(field, "allocation"), *other.files], tmp_path / "x")
 
+    def test_targets_that_the_catalogue_lacks(self, field: Path, tmp_path: Path) -> None:
+        for path in (field / "xml" / "catalogue.xml", xml(field, "allocation")[0], xml(field, "router")[0]):
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+        held = read_router(xml(field, "router")[0]).held["target_id"].drop_nulls()[0]
+        catalogue = tmp_path / "catalogue.xml"
+        catalogue.write_text(catalogue.read_text().replace(f"<TD>{held}</TD>", "<TD>99999</TD>", 1))
+        for command, name in ((route_field, "allocation_0000.xml"), (simulate_field, "router_0000.xml")):
+            with pytest.raises(InputError, match="not in the catalogue") as caught:
+                command([tmp_path / name], tmp_path / "out")
+            assert f"{name}, target_id" in str(caught.value)
+            assert f"rows [{held}]" in str(caught.value)
+
     def test_another_instrument_is_refused_by_its_robots(self, field: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="robots have no row"):
             route_field([field], tmp_path / "x", instrument="paper")

@@ -46,7 +46,7 @@ from survey_sim.survey.field.rows import (
     time_rows,
     visit_rows,
 )
-from survey_sim.survey.field.targets import SURVEY, allocated_targets, centre_of, targets_of_catalogue
+from survey_sim.survey.field.targets import SURVEY, allocated_targets, centre_of, check_held, targets_of_catalogue
 from survey_sim.survey.tile import stream
 
 
@@ -241,7 +241,7 @@ def _settings(router: str) -> RoutingSettings:
     return RoutingSettings.load({"router": router}, section="routing")
 
 
-def check_plates(visits: Sequence[AllocatedVisit]) -> None:
+def check_plates(visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit]) -> None:
     """Refuse files of different plates."""
     first = visits[0].plate
     for visit in visits[1:]:
@@ -260,6 +260,8 @@ def _targets(visits: Sequence[AllocatedVisit]) -> tuple[pl.DataFrame, tuple[floa
     file = visits[0].file
     catalogue = None if file is None else catalogue_beside(file)
     if catalogue is not None:
-        return targets_of_catalogue(catalogue, visits[0].plate), centre_of(catalogue.params)
+        targets = targets_of_catalogue(catalogue, visits[0].plate)
+        check_held(visits, targets)
+        return targets, centre_of(catalogue.params)
     frames = [visit.held.with_columns(x_mm=visit.goal_mm[:, 0], y_mm=visit.goal_mm[:, 1]) for visit in visits]
     return allocated_targets(frames, visits[0].plate, centre_of(visits[0].params)), centre_of(visits[0].params)

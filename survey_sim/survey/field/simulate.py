@@ -28,9 +28,9 @@ from survey_sim.survey.field.folder import (
     find_files,
     write_folder,
 )
-from survey_sim.survey.field.route import visit_tables
+from survey_sim.survey.field.route import check_plates, visit_tables
 from survey_sim.survey.field.rows import move_rows
-from survey_sim.survey.field.targets import SURVEY, allocated_targets, centre_of, targets_of_catalogue
+from survey_sim.survey.field.targets import SURVEY, allocated_targets, centre_of, check_held, targets_of_catalogue
 
 # A file's initial positions are where the last one ended, to this much (what exchange files promise).
 SAME_PLACE_MM, SAME_ANGLE_DEG = 1e-3, 1e-4
@@ -88,11 +88,14 @@ def simulate_field(
     out = out or (sources[0] if is_run else Path("runs") / SURVEY)
     check_out(out)
     given = None if instrument is None else make_plate(load_instrument(instrument))
-    visits = list(_in_order([read_router(path, given) for path in files]))
+    read = [read_router(path, given) for path in files]
+    check_plates(read)
+    visits = list(_in_order(read))
     plate = visits[0].plate
     catalogue = catalogue_beside(files[0])
     if catalogue is not None:
         targets, centre_deg = targets_of_catalogue(catalogue, plate), centre_of(catalogue.params)
+        check_held(read, targets)
     else:
         centre_deg = centre_of(visits[0].params)
         targets = allocated_targets([_reached(visit) for visit in visits], plate, centre_deg)

@@ -11,7 +11,7 @@ import polars as pl
 
 from survey_sim.allocation import FieldTargets
 from survey_sim.errors import InputError
-from survey_sim.exchange import CATALOGUE, Document, read, read_columns
+from survey_sim.exchange import CATALOGUE, AllocatedVisit, Document, RoutedVisit, read, read_columns
 from survey_sim.geometry import plate_to_sky, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.region import healpix_29
@@ -61,6 +61,18 @@ def allocated_targets(visits: Sequence[pl.DataFrame], plate: Plate, centre_deg: 
     """As `read_targets`, of the targets that visits hold (target_id, kind, x_mm, y_mm) where no catalogue is at hand."""
     frame = pl.concat(visits).drop_nulls("target_id").unique("target_id", keep="first").sort("target_id")
     return _checked(frame, Path("allocation"), plate, centre_deg, is_by_sky=False)
+
+
+def check_held(visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit], targets: pl.DataFrame) -> None:
+    """Refuse visits that hold targets which the catalogue does not have, or has as another kind."""
+    known = targets.select("target_id", own_kind="kind")
+    for visit in visits:
+        held = visit.held.with_row_index("row").drop_nulls("target_id")
+        held = held.join(known, on="target_id", how="left", maintain_order="left")
+        odd = held.filter(pl.col("own_kind").is_null() | (pl.col("own_kind") != pl.col("kind")))
+        if len(odd):
+            rule = "targets are not in the catalogue beside the file, or are of another kind there"
+            raise InputError(rule, file=visit.file, place="target_id", rows=odd["target_id"].to_list())
 
 
 def centre_of(params: Mapping[str, Any]) -> tuple[float, float] | None:
