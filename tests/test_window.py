@@ -162,9 +162,10 @@ class TestInBrowser:
         targets = {"target_id": np.arange(300), "x_mm": radius * np.cos(angle), "y_mm": radius * np.sin(angle)}
         pl.DataFrame(targets).write_csv(tmp_path / "targets.csv")
         browser.get(address)
-        choose = lambda name, value: Select(browser.find_element(By.CSS_SELECTOR, f"[name={name}]")).select_by_visible_text(
-            value
-        )  # noqa: E731
+
+        def choose(name: str, text: str) -> None:
+            Select(browser.find_element(By.NAME, name)).select_by_visible_text(text)
+
         browser.find_element(By.ID, "files").send_keys(str(tmp_path / "targets.csv"))
         choose("algorithm", "cda-basic")
         choose("router", "simple-vector")
