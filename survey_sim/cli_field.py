@@ -39,6 +39,14 @@ _SUMMARY_HEADS = {
     "completeness_frac": "complete",
 }
 
+_STUDY_HEADS = {
+    "completeness_frac": "complete_%",
+    "bound_frac": "bound_%",
+    "travel_mean_mm": "mean_mm",
+    "travel_p95_mm": "p95_mm",
+    "travel_max_mm": "max_mm",
+}
+
 
 def allocate(
     targets: Annotated[
@@ -224,9 +232,26 @@ def compare_routers(
     console.print(f"{made.file}, and figures beside it")
 
 
+def figures(
+    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/figures"),
+    quick: Annotated[bool, typer.Option("--quick", help="Without the field of thousands of stars.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare the allocation algorithms on the paper's fields (its Figures 7 to 10): tables and figures."""
+    import polars as pl
+
+    from survey_sim.survey.allocation_study import draw_paper_figures
+
+    console = _console(quiet)
+    summary = draw_paper_figures(out, console, quick=quick)
+    in_percent = pl.col("completeness_frac", "bound_frac") * 100.0
+    console.print(_table(summary.with_columns(in_percent).rename(_STUDY_HEADS)))
+    console.print(f"tables and figures: [bold]{out}[/bold]")
+
+
 def add_field_commands(app: typer.Typer) -> None:
     """Register the commands."""
-    for command in (allocate, route, simulate, view, export, compare_routers):
+    for command in (allocate, route, simulate, view, export, compare_routers, figures):
         app.command()(command)
 
 
