@@ -78,3 +78,30 @@ def is_parted(start, goal, fixed, r, park, reach, plate_radius, pitch=0.25):
                 seen.add((a, b))
                 todo.append((a, b))
     return True
+
+
+def around_disc(a, b, r):
+    """Length of the shortest way from a to b outside the disc of radius r around the origin."""
+    along, out_a, out_b = math.dist(a, b), math.hypot(*a), math.hypot(*b)
+    step = (b[0] - a[0], b[1] - a[1])
+    share = -(a[0] * step[0] + a[1] * step[1]) / along**2 if along > 0 else 0.0
+    share = min(1.0, max(0.0, share))
+    if math.hypot(a[0] + share * step[0], a[1] + share * step[1]) >= r:
+        return along
+    angle = math.acos(max(-1.0, min(1.0, (a[0] * b[0] + a[1] * b[1]) / (out_a * out_b))))
+    tangent_a, tangent_b = math.acos(min(1.0, r / out_a)), math.acos(min(1.0, r / out_b))
+    arc = max(0.0, angle - tangent_a - tangent_b)
+    return math.sqrt(max(0.0, out_a**2 - r * r)) + math.sqrt(max(0.0, out_b**2 - r * r)) + r * arc
+
+
+def pair_bound_s(start, goal, r, speed):
+    """Time below which two robots that may go any way, at up to `speed`, cannot both arrive without coming nearer than r.
+
+    With weights w and 1 - w, the weighted sum of squared speeds is |c'|^2 + w (1 - w) |d'|^2, where c is the weighted mean
+    place and d the difference of the two. It is at most speed^2, c goes at least straight, and d around a disc.
+    """
+    step = np.subtract(goal, start)
+    around = around_disc(np.subtract(start[0], start[1]), np.subtract(goal[0], goal[1]), r)
+    weight = np.linspace(0, 1, 101)
+    centre = weight[:, None] * step[0] + (1 - weight)[:, None] * step[1]
+    return np.sqrt((centre**2).sum(axis=1) + weight * (1 - weight) * around**2).max() / speed

@@ -11,6 +11,7 @@ from survey_sim.motion import leg_times_s, make_trajectories
 from survey_sim.routing import ROUTERS, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import simulate
 from tests.fields import chain, random_field
+from tests.naive_routing import pair_bound_s
 
 ALL = sorted(ROUTERS)
 
@@ -125,6 +126,34 @@ def test_two_or_three_robots_with_room_all_arrive(seed):
     assert (path.reason == 0).all()
     # One after another around the crowd would take about this long.
     assert path.configuration_time_s < 3 * (path.lower_bound_s + 20)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_no_pair_is_quicker_than_any_motion_of_two(seed):
+    rng = np.random.default_rng(seed)
+    start, goal = _packed(rng, 2, 12.0), _packed(rng, 2, 12.0)
+    plate = _plate(_packed(rng, 2, 12.0), patrol=100.0, plate_radius=60.0)
+    path = _route(plate, start, goal)
+    _assert_legal(plate, start, goal, path)
+    assert (path.reason == 0).all()
+    assert path.configuration_time_s >= pair_bound_s(start, goal, 9.0, 2.0) - 1e-6
+
+
+def test_two_that_change_places_are_near_the_least_time_of_any_motion():
+    """At 9 sqrt(2) mm: each way around is 9 + 9 pi / 2 + 9 mm long in their difference, gone at twice the speed of one."""
+    reach = 9 / np.sqrt(2)
+    start, goal = np.array([[-reach, 0.0], [reach, 0.0]]), np.array([[reach, 0.0], [-reach, 0.0]])
+    assert pair_bound_s(start, goal, 9.0, 2.0) == pytest.approx((18 + 4.5 * np.pi) / 4)
+    places = tuple(map(tuple, start.tolist()))
+    overrides = {"guides": "none", "n_science": 2, "park_positions_mm": places, "rotation_speed_deg_s": 1e6}
+    plate = make_plate(load_instrument("paper", overrides))
+    path = _route(plate, start, goal)
+    _assert_legal(plate, start, goal, path)
+    assert (path.reason == 0).all()
+    # The bound of each alone, 6.4 s, cannot be had.
+    assert path.lower_bound_s < 6.5
+    assert path.configuration_time_s < 1.1 * (18 + 4.5 * np.pi) / 4
 
 
 def _packed(rng, n, radius):

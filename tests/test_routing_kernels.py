@@ -108,6 +108,21 @@ def test_kernel_time_alone_is_that_of_motion(theta, x, y):
     assert min(times) == pytest.approx(alone, abs=1e-9)
 
 
+def test_near_robots_are_those_that_any_way_in_time_may_meet():
+    """From (0, 0) to (20, 0) in 16 s: ways of 32 mm, which reach 6 mm beyond either end."""
+    places = np.array([[0.0, 0.0], [34.9, 0.0], [35.1, 0.0], [10.0, 24.9], [10.0, 25.1], [10.0, 5.0]])
+    n = len(places)
+    goal = places.copy()
+    goal[0] = [20.0, 0.0]
+    plans = kernels.new_plans(
+        places, np.zeros(n), goal, places, np.full(n, 50.0), np.ones(n, dtype=bool), np.zeros(n), kernels.MAX_LEGS
+    )
+    near = np.empty(n, dtype=np.int64)
+    assert sorted(near[: kernels.find_near(PHYSICS, plans, 0, 16.0, R, 0.0, near)]) == [1, 3, 5]
+    kernels.start_directly(PHYSICS, plans, R, 0.0)
+    assert near[: kernels.find_near(PHYSICS, plans, 0, 16.0, R, 0.0, near)].tolist() == [5, 3, 1]
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
 def test_parted_is_what_a_flood_fill_finds(seed):

@@ -5,7 +5,10 @@ planned again one at a time: the delays of their direct plans first (the forbidd
 then sampled detours of one to three way points with waits; idle robots step aside and come back. A plan is taken if it
 lowers the score of its robot's conflicts: each weighs more the nearer the pair comes, and more with each low point that it
 survives, so that two robots can share an evasion and none is stuck. What fails at the bound is tried at longer durations
-until one holds, and then shortened from there by halves.
+until one holds, and then shortened step by step from there.
+
+The bound is that of each robot alone, and is not always to be had: two robots that change places, or one that comes head
+on to one without time to spare, take longer even with nobody else about (measured: nearly all paths above it).
 
 Complete in practice, not in theory. A robot that fixed robots part from its goal is `unreachable`, and that is proved
 (`kernels.is_parted`); one that the search gives up is `no-path`; one whose goal such a robot stands on is `deadlock`.
@@ -21,7 +24,7 @@ from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 # Detours tried at each step of repair.
 N_SAMPLE = 12
 # Steps at one duration before another is tried.
-N_QUICK = 200
+N_QUICK = 120
 # The same, before a robot is given up.
 N_PATIENT = 2000
 

@@ -459,8 +459,12 @@ def _insert_interval(lo, hi, n, d0, d1):
 # Coordinated routing: every robot has one plan (way points, waits, a start delay); pairs that come too near are conflicts;
 # robots in conflict are planned again, one at a time, for the least weight of conflicts.
 
-# Durations this close, as a share of the bound, are not told apart on the way back down.
-CLOSE_FRAC = 0.004
+# First stride above the bound, as a share of it; each is twice the one before, up to this many times the bound.
+FIRST_STRIDE_FRAC = 0.05
+MOST_STRIDES = 6.0
+# Back down: by this share of the way to the longest duration that failed, but at least by this share of the bound.
+DESCENT_FRAC = 0.4
+CLOSE_FRAC = 0.003
 # What a conflict's weight gains at each low point that it survives.
 WEIGHT_GAIN = 0.3
 MAX_INTERVALS = 12
@@ -635,8 +639,9 @@ def find_conflicts(plans, i, n, separation, margin):
 
 
 class Events(NamedTuple):
-    """Forbidden intervals of one shape against everybody, and room for those of one pair."""
+    """Forbidden intervals of one shape against everybody, and room for those of one pair; whom the robot may meet at all."""
 
+    near: np.ndarray
     lo: np.ndarray
     hi: np.ndarray
     robot: np.ndarray
@@ -646,9 +651,10 @@ class Events(NamedTuple):
 
 
 @njit(cache=True)
-def new_events(max_legs):
+def new_events(n_robot, max_legs):
     """Room for the intervals of one shape."""
     return Events(
+        np.empty(n_robot, dtype=np.int64),
         np.empty(MAX_EVENTS),
         np.empty(MAX_EVENTS),
         np.empty(MAX_EVENTS, dtype=np.int64),
@@ -659,7 +665,26 @@ def new_events(max_legs):
 
 
 @njit(cache=True)
-def best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, margin, limit, events):
+def find_near(phys, plans, i, duration, separation, margin, near):
+    """Robots that robot i may meet on any way that takes it no longer than `duration`; those in conflict with it first."""
+    far = 0.5 * duration * phys.coarse + separation + margin
+    x, y = 0.5 * (plans.start[i, 0] + plans.goal[i, 0]), 0.5 * (plans.start[i, 1] + plans.goal[i, 1])
+    n_near, n_conflict = 0, 0
+    for j in range(len(plans.start)):
+        if j == i or plans.box[j, 0] > x + far or plans.box[j, 1] < x - far:
+            continue
+        if plans.box[j, 2] > y + far or plans.box[j, 3] < y - far:
+            continue
+        near[n_near] = j
+        if plans.conflict[i, j]:
+            near[n_near], near[n_conflict] = near[n_conflict], j
+            n_conflict += 1
+        n_near += 1
+    return n_near
+
+
+@njit(cache=True)
+def best_delay(plans, rng, i, n_near, shape, n_knot, late_leg, delay_max, separation, margin, limit, events):
     """Least score of conflicts over delays of a shape from one leg on, and the delay that has it; inf if not below `limit`.
 
     Zero is found wherever it is: conflicts end only at the ends of forbidden intervals. Otherwise these, the extremes and
@@ -669,10 +694,10 @@ def best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, ma
     y0, y1 = shape.ky[:n_knot].min(), shape.ky[:n_knot].max()
     n_event = 0
     always = 0.0
-    for j in range(len(plans.start)):
-        if j == i:
-            continue
-        r = separation + margin
+    r_all = separation + margin
+    for k in range(n_near):
+        j = events.near[k]
+        r = r_all
         if plans.box[j, 0] > x1 + r or plans.box[j, 1] < x0 - r or plans.box[j, 2] > y1 + r or plans.box[j, 3] < y0 - r:
             continue
         r = pair_radius(plans, i, j, separation, margin)
@@ -681,13 +706,13 @@ def best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, ma
             plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], plans.box[j],
             r, delay_max, events.pair_lo, events.pair_hi,
         )  # fmt: skip
-        for k in range(m):
-            if events.pair_lo[k] < 0.0 and events.pair_hi[k] > delay_max:
+        for p in range(m):
+            if events.pair_lo[p] < 0.0 and events.pair_hi[p] > delay_max:
                 always += 0.5 * (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED)
                 if always >= limit:
                     return np.inf, 0.0
             if n_event < MAX_EVENTS:
-                events.lo[n_event], events.hi[n_event], events.robot[n_event] = events.pair_lo[k], events.pair_hi[k], j
+                events.lo[n_event], events.hi[n_event], events.robot[n_event] = events.pair_lo[p], events.pair_hi[p], j
                 n_event += 1
     least, best = limit, -1.0
     for c in range(-3 if always > 0.0 else -1, n_event):
@@ -867,6 +892,7 @@ def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, s
     """
     best_legs, best_knots, delay, late_best = -1, 0, 0.0, 0
     partner = _pick_partner(plans, rng, i) if n_sample > 0 else -1
+    n_near = find_near(phys, plans, i, duration, separation, margin, events.near)
     for option in range(3 + n_sample):
         late_leg = 0
         if option < 3:
@@ -876,7 +902,7 @@ def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, s
         if n_knot == 0 or t > duration + SAME_DELAY_S:
             continue
         delay_max = max(0.0, duration - t)
-        score, d = best_delay(plans, rng, i, shape, n_knot, late_leg, delay_max, separation, margin, least, events)
+        score, d = best_delay(plans, rng, i, n_near, shape, n_knot, late_leg, delay_max, separation, margin, least, events)
         if score < least:
             least, best_legs, best_knots, delay, late_best = score, n_leg, n_knot, d, late_leg
             _copy_shape(shape, best, n_leg, n_knot)
@@ -945,7 +971,7 @@ def set_plan_alone(plans, i, shape, n_leg, n_knot):
 def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
     """Plan robots that are late or in conflict again until none is; returns the number of steps, -1 if they were too few."""
     n = len(plans.start)
-    shape, best, events = new_shape(MAX_LEGS), new_shape(MAX_LEGS), new_events(MAX_LEGS)
+    shape, best, events = new_shape(MAX_LEGS), new_shape(MAX_LEGS), new_events(n, MAX_LEGS)
     for i in range(n):
         if plans.kt[i, plans.n_knot[i] - 1] > duration + SAME_DELAY_S:
             replan(phys, plans, rng, i, duration, n_sample, np.inf, separation, margin, shape, best, events)
@@ -957,11 +983,13 @@ def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
                 limit = present_score(plans, i, separation, margin)
                 replan(phys, plans, rng, i, duration, 0, limit, separation, margin, shape, best, events)
     for step in range(n_step):
-        i, n_seen = -1, 0
+        i, seen = -1, 0.0
         for k in range(n):
             if plans.n_conflict[k] > 0 and plans.is_free[k]:
-                n_seen += 1
-                if rng.random() * n_seen < 1.0:
+                # Who has no time to spare has few ways to choose from.
+                share = min(1.0, max(0.1, duration - plans.alone[k]))
+                seen += share
+                if rng.random() * seen < share:
                     i = k
         if i < 0:
             return step
@@ -1022,36 +1050,32 @@ def ground_worst(plans, separation, margin):
 def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separation, margin):
     """Plans without conflict, as near to `bound` as is found; returns whether there are any.
 
-    First at the bound; then at longer durations, until one is found; then back down, from plans that hold, by halves.
+    First at the bound; then at longer durations, in long strides, since those that fail cost most; then back down from
+    plans that hold, part of the way to what failed or a little, again and again until `n_step` steps are used.
     """
     if repair(phys, plans, rng, bound, n_quick, n_sample, separation, margin) >= 0:
         return True
     # A field of short hops may need long detours: longer by shares of the bound, or of this, s.
     unit = max(bound, 10.0)
-    failed, stretch = bound, 1.02
-    while True:
-        if repair(phys, plans, rng, bound + (stretch - 1.0) * unit, n_quick, n_sample, separation, margin) >= 0:
-            break
-        failed = bound + (stretch - 1.0) * unit
-        if stretch > 8.0:
+    failed, more = bound, FIRST_STRIDE_FRAC * unit
+    while repair(phys, plans, rng, bound + more, n_quick // 2, n_sample, separation, margin) < 0:
+        failed = bound + more
+        if more > MOST_STRIDES * unit:
             return False
-        stretch = 1.0 + 1.6 * (stretch - 1.0)
-    done = 0
-    while done < n_step:
-        copy_plans(plans, kept)
-        found = last_arrival(kept)
-        # Once near, the bound itself again, now from plans that almost fit.
-        is_last = found - bound < 2.0 * CLOSE_FRAC * bound
-        if found <= bound + SAME_DELAY_S or (found - failed < CLOSE_FRAC * bound and not is_last):
-            break
-        trial = bound if is_last else 0.5 * (found + failed)
+        more *= 2.0
+    copy_plans(plans, kept)
+    found, done = last_arrival(kept), 0
+    while done < n_step and found > bound + SAME_DELAY_S:
+        trial = max(bound, found - max(DESCENT_FRAC * (found - failed), CLOSE_FRAC * bound))
         used = repair(phys, plans, rng, trial, n_quick, n_sample, separation, margin)
-        done += n_quick if used < 0 else used + 1
-        if used < 0:
+        if used >= 0:
+            copy_plans(plans, kept)
+            found = last_arrival(kept)
+            done += used + 1
+        else:
             copy_plans(kept, plans)
-            failed = trial
-            if is_last:
-                break
+            failed = max(failed, trial)
+            done += n_quick
     return True
 
 
@@ -1091,6 +1115,7 @@ def plan_with_stop(phys, plans, rng, i, separation, shape, best, events):
     """Plan robot i straight to its goal, waiting before it starts or once on the way; False if no wait clears it."""
     x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
     least, best_legs, best_knots, best_delay_s = np.inf, 0, 0, 0.0
+    n_near = find_near(phys, plans, i, LONGEST_WAIT_S, separation, 0.0, events.near)
     for stop in range(N_STOP):
         n_leg = 1 if stop == 0 else 2
         f = stop / N_STOP
@@ -1103,7 +1128,7 @@ def plan_with_stop(phys, plans, rng, i, separation, shape, best, events):
         )
         # Below the least weight of a conflict only none will do.
         score, delay = best_delay(
-            plans, rng, i, shape, n_knot, n_leg - 1, LONGEST_WAIT_S, separation, 0.0, 0.1, events
+            plans, rng, i, n_near, shape, n_knot, n_leg - 1, LONGEST_WAIT_S, separation, 0.0, 0.1, events
         )  # fmt: skip
         if score == 0.0 and t + delay < least:
             least, best_legs, best_knots, best_delay_s = t + delay, n_leg, n_knot, delay

@@ -49,7 +49,7 @@ def _plan_straight(problem: Problem, plans: kernels.Plans, rng: np.random.Genera
     """Plan whoever can go straight, the furthest first; returns those that cannot."""
     phys = physics(problem)
     shape, best = kernels.new_shape(kernels.MAX_LATTICE_LEGS), kernels.new_shape(kernels.MAX_LATTICE_LEGS)
-    events = kernels.new_events(kernels.MAX_LATTICE_LEGS)
+    events = kernels.new_events(problem.n_robot, kernels.MAX_LATTICE_LEGS)
     movers = np.flatnonzero(problem.has_to_move)
     waiting = movers[np.argsort(-problem.alone_s[movers], kind="stable")].tolist()
     has_changed = True

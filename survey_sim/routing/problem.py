@@ -49,7 +49,7 @@ class RoutingSettings(Settings):
     router: RouterName = "coordinated"
     # Extra separation planned where starts and goals allow; what cannot be routed so is routed without it.
     margin_mm: float = Field(0.0, ge=0)
-    # Coordinated: steps of repair at each trial duration, before a longer one is tried.
+    # Coordinated: steps of repair spent on shortening a path that was not found at the bound.
     n_repair: int = Field(1000, ge=1)
 
 
