@@ -33,17 +33,18 @@ def most_apart(xy, separation):
     return 0
 
 
-def best_visit(park, patrol, xy, value, separation, power):
-    """(most value, then least sum of travel^power) over all legal visits."""
+def best_visit(park, patrol, xy, value, separation, power, start=None, pull=0.0):
+    """(most value, then least sum of travel^power + pull (distance from park)^power) over all legal visits."""
+    start = park if start is None else start
     best = (0.0, 0.0)
     for size in range(1, min(len(park), len(xy)) + 1):
         for chosen in combinations(range(len(xy)), size):
             if near_pairs(xy[list(chosen)], separation):
                 continue
             for robots in permutations(range(len(park)), size):
-                travel = np.hypot(*(xy[list(chosen)] - park[list(robots)]).T)
-                if (travel <= patrol).all():
-                    found = (sum(value[t] for t in chosen), -float((travel**power).sum()))
+                travel, away = (np.hypot(*(xy[list(chosen)] - place[list(robots)]).T) for place in (start, park))
+                if (away <= patrol).all():
+                    found = (sum(value[t] for t in chosen), -float((travel**power + pull * away**power).sum()))
                     if found[0] > best[0] + 1e-9 or (abs(found[0] - best[0]) < 1e-9 and found[1] > best[1]):
                         best = found
     return best[0], -best[1]

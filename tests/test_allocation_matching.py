@@ -64,6 +64,33 @@ def test_the_best_of_all_visits_is_found(seed, n_target, power):
     assert (visit.travel_mm[is_held] ** power).sum() == pytest.approx(best_travel, rel=1e-6)
 
 
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.sampled_from([1.0, 4.0]), st.sampled_from([0.0, 0.3, 2.0]))
+def test_the_best_of_all_visits_with_a_pull_to_park(seed, n_target, power, pull):
+    rng = np.random.default_rng(seed)
+    park = np.array([(0.0, 0.0), (15.0, 0.0), (7.5, 13.0), (22.5, 13.0)])
+    start = park + rng.uniform(-6, 6, 2)
+    targets, plate = field_targets(rng.uniform(-8, 30, (n_target, 2))), plate_of(park.tolist(), 14.0)
+    values = {"algorithm": "matching", "visits": 1, "travel_power": power, "park_pull": pull}
+    visit = start_allocation(targets, plate, AllocationSettings(**values), np.random.default_rng(1)).next_visit(start)
+    xy = np.column_stack([targets.x_mm, targets.y_mm])
+    best_value, best_cost = naive.best_visit(park, 14.0, xy, np.ones(n_target), 9.0, power, start, pull)
+    if visit is None:
+        assert best_value == 0.0
+        return
+    is_held = visit.target >= 0
+    away = np.hypot(*(xy[visit.target[is_held]] - park[is_held]).T)
+    assert is_held.sum() == best_value
+    assert (visit.travel_mm[is_held] ** power + pull * away**power).sum() == pytest.approx(best_cost, rel=1e-6)
+
+
+def test_least_travel_is_not_pulled_unless_asked():
+    assert AllocationSettings(travel_power=1).used_park_pull == 0.0
+    assert AllocationSettings(travel_power=1, park_pull=0.4).used_park_pull == 0.4
+    assert AllocationSettings(park_pull=0.0).used_park_pull == 0.0
+    assert AllocationSettings().used_park_pull > 0.0
+
+
 def test_the_bound_of_the_search_holds_when_it_is_cut_short():
     plate = plate_of(ANCHOR_PARKS, 49.5, 166.5)
     field = make_field(field_targets(uniform_xy(300, 3, 166.5)), plate, AllocationSettings())

@@ -140,3 +140,19 @@ def test_the_same_seed_gives_the_same_plan():
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.target, b.target)
         np.testing.assert_array_equal(a.goal_mm, b.goal_mm)
+
+
+def test_a_pull_to_park_keeps_robots_near_it_and_costs_no_target():
+    plate, targets = make_plate(load_instrument("paper")), field_targets(clustered_xy(900, 1))
+    found = {}
+    for pull in (0.0, 1.0):
+        settings = AllocationSettings(visits=7, park_pull=pull)
+        session = start_allocation(targets, plate, settings, np.random.default_rng(1))
+        position, away = plate.park_mm, []
+        while (visit := session.next_visit(position)) is not None:
+            session.record(visit, np.ones(plate.n_robot, bool))
+            position = visit.goal_mm
+            away.append(np.hypot(*(position - plate.park_mm).T))
+        found[pull] = (session.is_complete.sum(), np.mean(away))
+    assert found[1.0][0] == found[0.0][0]
+    assert found[1.0][1] < 0.9 * found[0.0][1]

@@ -18,7 +18,7 @@ MAX_NODES = 60
 
 
 def choose_matching(field: Field, request: VisitRequest) -> IntArray:
-    """The visit of most priority-weighted science and, of all such, of least sum of travel^travel_power.
+    """The visit of most priority-weighted science and, of all such, of least travel cost (`match`).
 
     Standards and sky are picked first, where they stand in the way of the least science. The least acceptable numbers
     displace science; those wanted beyond it count as science of the highest priority, and fill what robots are left.
@@ -37,11 +37,15 @@ def choose_matching(field: Field, request: VisitRequest) -> IntArray:
 
 
 def match(field: Field, start_mm: FloatArray, is_open: BoolArray, is_pair_open: BoolArray, value: FloatArray) -> IntArray:
-    """(n_robot,) target of each robot or -1: most value, then least sum of travel^travel_power, of the open targets."""
+    """(n_robot,) target of each robot or -1: most value, then least travel cost, of the open targets.
+
+    The cost is the sum of travel^travel_power + park_pull (distance from park to target)^travel_power.
+    """
     steps = min(MAX_STEPS, max(1.0, PRIORITY_STEPS / max(field.settings.priority_gain, 1e-12)))
     # All travel together costs less than n_robot, so a step of value always comes before it.
     return match_open(
-        is_open, is_pair_open, start_mm, field.xy_mm, value, field.plate.n_robot * steps, field.settings.travel_power / 2.0,
+        is_open, is_pair_open, start_mm, field.plate.park_mm, field.xy_mm, value, field.plate.n_robot * steps,
+        field.settings.travel_power / 2.0, field.settings.used_park_pull,
         field.reach_first, field.reach_robot, field.near_first, field.near, field.separation_mm, MAX_NODES,
     )  # fmt: skip
 

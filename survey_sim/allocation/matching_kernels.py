@@ -406,21 +406,21 @@ def _open_part(is_open, is_pair_open, reach_first, reach_robot, near_first, near
 
 @njit(cache=True)
 def match_open(
-    is_open, is_pair_open, start_xy, xy, value, value_step, half_power,
+    is_open, is_pair_open, start_xy, park_xy, xy, value, value_step, half_power, park_pull,
     reach_first, reach_robot, near_first, near, separation, max_nodes,
 ):  # fmt: skip
-    """Targets held in one visit: most value, then least sum of travel^P.
+    """Targets held in one visit: most value, then least sum of travel^P + park_pull (distance from park)^P.
 
     Parameters
     ----------
     is_open, is_pair_open
         (n_target,) and (n_pair,) what may be used.
-    start_xy, xy
-        (n_robot, 2) and (n_target, 2) mm.
+    start_xy, park_xy, xy
+        (n_robot, 2) twice and (n_target, 2) mm.
     value, value_step
         (n_target,) worth; what a unit of it costs beside the travel of one robot, whose most is 1.
-    half_power
-        P / 2.
+    half_power, park_pull
+        P / 2; weight of the distance from park.
     reach_first, reach_robot, near_first, near, separation, max_nodes
         As in `match_apart`.
 
@@ -435,12 +435,14 @@ def match_open(
     cost = np.empty(len(robot))
     farthest, greatest = 1e-12, 0.0
     for p in range(len(robot)):
-        t = full[target[p]]
-        cost[p] = (xy[t, 0] - start_xy[robot[p], 0]) ** 2 + (xy[t, 1] - start_xy[robot[p], 1]) ** 2
+        t, r = full[target[p]], robot[p]
+        cost[p] = ((xy[t, 0] - start_xy[r, 0]) ** 2 + (xy[t, 1] - start_xy[r, 1]) ** 2) ** half_power
+        if park_pull > 0.0:
+            cost[p] += park_pull * ((xy[t, 0] - park_xy[r, 0]) ** 2 + (xy[t, 1] - park_xy[r, 1]) ** 2) ** half_power
         farthest = max(farthest, cost[p])
         greatest = max(greatest, value[t])
     for p in range(len(robot)):
-        cost[p] = (cost[p] / farthest) ** half_power + (greatest - value[full[target[p]]]) * value_step
+        cost[p] = cost[p] / farthest + (greatest - value[full[target[p]]]) * value_step
     pair, _, _ = match_apart(
         n_robot, greatest * value_step, first, robot, target, cost, own_near_first, own_near, xy[full], separation, max_nodes
     )

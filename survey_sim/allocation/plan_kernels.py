@@ -171,6 +171,8 @@ def cover(
     load = np.zeros(n_visit, np.int64)
     weight = np.zeros((n_item, n_visit), np.int64)
     tabu = np.zeros((n_item, n_visit), np.int64)
+    # Until this step a visit is closed to an item whatever it promises: robots in reach are held, which the gain leaves out.
+    closed = np.zeros((n_item, n_visit), np.int64)
     waiting = np.empty(n_item, np.int64)
     queue, parent = np.empty(n_robot + 1, np.int64), np.empty(n_robot, np.int64)
     is_seen = np.empty(n_robot, np.bool_)
@@ -227,7 +229,7 @@ def cover(
             for v in range(n_visit):
                 w = weight[i, v]
                 d = value[i] - (w if w > 0 else least[v])
-                if d < gain:
+                if d < gain or closed[i, v] > step:
                     continue
                 if tabu[i, v] > step and total + d <= best:
                     continue
@@ -251,19 +253,22 @@ def cover(
                     tabu[j, v] = step + 8 + _random(state) % 10
                     waiting[n_waiting] = j
                     n_waiting += 1
+        is_full = load[v] >= capacity[v]
         gone = _insert(
             i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of, slot, load,
-            load[v] >= capacity[v], value[i], _random(state), queue, parent, is_seen,
+            is_full, value[i], _random(state), queue, parent, is_seen,
         )  # fmt: skip
         if gone == -2:
             waiting[n_waiting] = i
             n_waiting += 1
-            tabu[i, v] = step + 50
+            closed[i, v] = step + 50
         else:
             total += value[i]
             if gone >= 0:
                 total -= value[gone]
                 tabu[gone, v] = step + 8 + _random(state) % 10
+                if not is_full:
+                    closed[gone, v] = tabu[gone, v]
                 waiting[n_waiting] = gone
                 n_waiting += 1
         if total > best:
@@ -325,6 +330,27 @@ def _move(i, j, xy, half_power):
 
 
 @njit(cache=True)
+def _pull(i, r, xy, park_xy, half_power, park_pull):
+    """Cost of item i's distance from the park of robot r; none if there is no item."""
+    if i < 0 or park_pull == 0.0:
+        return 0.0
+    dx, dy = xy[i, 0] - park_xy[r, 0], xy[i, 1] - park_xy[r, 1]
+    d2 = dx * dx + dy * dy
+    return park_pull * (d2 * d2 if half_power == 2.0 else d2**half_power)
+
+
+@njit(cache=True)
+def _tail_pull(r, s, v, slot, xy, park_xy, half_power, park_pull):
+    """What is gained in distance from park if two robots exchange all that they hold from visit v on."""
+    gain = 0.0
+    for w in range(v, slot.shape[0]):
+        i, j = slot[w, r], slot[w, s]
+        gain += _pull(i, r, xy, park_xy, half_power, park_pull) - _pull(i, s, xy, park_xy, half_power, park_pull)
+        gain += _pull(j, s, xy, park_xy, half_power, park_pull) - _pull(j, r, xy, park_xy, half_power, park_pull)
+    return gain
+
+
+@njit(cache=True)
 def _links(i, before, after, xy, half_power):
     """Cost of a robot's moves to and from item i, or of the one past it if it holds nothing (-1)."""
     if i < 0:
@@ -366,7 +392,7 @@ def _count_near(i, v, by, first, near, n_near):
 
 @njit(cache=True)
 def shorten(
-    n_sweep, hot, cold, half_power, start_xy, xy, separation, value, kin, delay, first, near, target,
+    n_sweep, hot, cold, half_power, park_pull, start_xy, park_xy, xy, separation, value, kin, delay, first, near, target,
     reach_first, reach_robot, is_pair_open, is_shut, capacity, candidates, slot, visit_of, robot_of, state,
 ):  # fmt: skip
     """Exchange items between visits and robots while that makes the robots' ways through all visits cheaper.
@@ -380,8 +406,10 @@ def shorten(
     ----------
     n_sweep, hot, cold
         Sweeps with heat; the first and the last heat, mm^P.
-    half_power, start_xy, xy, separation
-        P / 2; (n_robot, 2) where the robots start and (n_item, 2) the items, mm; mm.
+    half_power, park_pull
+        P / 2; weight of the distance from a robot's park to what it holds, beside that of its way.
+    start_xy, park_xy, xy, separation
+        (n_robot, 2) where the robots start, and their parks, and (n_item, 2) the items, mm; mm.
     value, kin, delay
         (n_item,) worth; a waiting item may replace one of the same kin (not -1); what each visit later costs, mm^P.
     first, near, target, reach_first, reach_robot, is_pair_open, is_shut, capacity
@@ -459,11 +487,19 @@ def shorten(
                 else:
                     p, q = before[v, r], after[v, r]
                     gain = _links(a, p, q, xy, half_power) - _links(b, p, q, xy, half_power)
+                    gain += _pull(a, r, xy, park_xy, half_power, park_pull)
                     if w >= 0:
                         p, q = before[w, s], after[w, s]
                         gain += _links(b, p, q, xy, half_power) - _links(a, p, q, xy, half_power)
+                        gain += _pull(b, s, xy, park_xy, half_power, park_pull)
                 if w >= 0:
                     gain += (v - w) * (delay[a] - (delay[b] if b >= 0 else 0.0))
+                if gain + heat <= least:
+                    continue
+                if s != r:
+                    gain -= _pull(b, r, xy, park_xy, half_power, park_pull)
+                    if w >= 0:
+                        gain -= _pull(a, s, xy, park_xy, half_power, park_pull)
                 if gain < 0.0:
                     gain += heat * (_random(state) / RANDOM_RANGE)
                 if gain <= least:
@@ -499,6 +535,10 @@ def shorten(
                 p, q = before[v, r], before[v, s]
                 gain = _move(p, i, xy, half_power) + _move(q, j, xy, half_power)
                 gain -= _move(q, i, xy, half_power) + _move(p, j, xy, half_power)
+                if park_pull > 0.0:
+                    if not _can_swap_tails(r, s, v, slot, target, is_in_reach):
+                        continue
+                    gain += _tail_pull(r, s, v, slot, xy, park_xy, half_power, park_pull)
                 if gain < 0.0:
                     gain += heat * (_random(state) / RANDOM_RANGE)
                 if gain <= least or not _can_swap_tails(r, s, v, slot, target, is_in_reach):

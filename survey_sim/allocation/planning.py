@@ -169,7 +169,8 @@ class _Search:
             slot, robot_of = self._match_all(n_visit, visit_of)
             shorten(
                 max(1, round(N_SWEEP * settings.effort)), HOT_MM**power, COLD_MM**power, power / 2.0,
-                self.request.start_mm, xy, field.separation_mm, self.value, kin, settings.delay_worth_mm**power * rank,
+                settings.used_park_pull, self.request.start_mm, field.plate.park_mm, xy, field.separation_mm,
+                self.value, kin, settings.delay_worth_mm**power * rank,
                 self.near_first, self.near, self.item_target, field.reach_first, field.reach_robot,
                 self.request.is_pair_open, is_shut, np.full(n_visit, self.capacity),
                 sample_within(xy, EXCHANGE_RADIUS_MM, N_EXCHANGE, self.state), slot, visit_of, robot_of, self.state,

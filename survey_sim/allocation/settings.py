@@ -12,6 +12,10 @@ Algorithm = Literal["ideal", "cda-basic", "cda-advanced", "matching", "plan"]
 ALGORITHMS: tuple[str, ...] = get_args(Algorithm)
 
 
+# Measured (docs/allocation.md).
+PARK_PULL = 0.3
+
+
 class LostReason(IntEnum):
     """Why a science target is not complete."""
 
@@ -36,6 +40,10 @@ class AllocationSettings(Settings):
     algorithm: Algorithm = "plan"
     # Cost of a move of d mm is d^travel_power: 4 is nearly the shortest configuration, 1 the least travel.
     travel_power: float = Field(4.0, gt=0, le=8)
+    # `matching` and `plan`: to that is added so much of the same power of the distance from the robot's park to its target.
+    # Robots stay near their parks: the ways from and to park are shorter, and easier to route. Absent: measured to be best,
+    # or 0 at a travel_power of 1 or less, which asks for the least travel and nothing else.
+    park_pull: float | None = Field(None, ge=0, le=100)
     # Visits of a tile; None = as many as the wanted completeness needs, and no more.
     visits: int | None = Field(None, ge=1)
     max_visits: int = Field(100, ge=1)
@@ -64,6 +72,13 @@ class AllocationSettings(Settings):
     mag_ranges: tuple[tuple[float, float], ...] = ()
     # Upper bound of completeness given beside every visit: "linear" is tight and slow, "fast" loose.
     bound: Literal["none", "fast", "linear"] = "fast"
+
+    @property
+    def used_park_pull(self) -> float:
+        """`park_pull`, or what stands for it where it is absent."""
+        if self.park_pull is not None:
+            return self.park_pull
+        return PARK_PULL if self.travel_power > 1.0 else 0.0
 
     @field_validator("mag_ranges")
     @classmethod
