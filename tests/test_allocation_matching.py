@@ -88,6 +88,8 @@ def test_least_travel_is_not_pulled_unless_asked():
     assert AllocationSettings(travel_power=1).used_park_pull == 0.0
     assert AllocationSettings(travel_power=1, park_pull=0.4).used_park_pull == 0.4
     assert AllocationSettings(park_pull=0.0).used_park_pull == 0.0
+    assert AllocationSettings(algorithm="matching").used_park_pull == 0.0
+    assert AllocationSettings(algorithm="matching", park_pull=0.4).used_park_pull == 0.4
     assert AllocationSettings().used_park_pull > 0.0
 
 

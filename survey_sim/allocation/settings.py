@@ -41,8 +41,8 @@ class AllocationSettings(Settings):
     # Cost of a move of d mm is d^travel_power: 4 is nearly the shortest configuration, 1 the least travel.
     travel_power: float = Field(4.0, gt=0, le=8)
     # `matching` and `plan`: to that is added so much of the same power of the distance from the robot's park to its target.
-    # Robots stay near their parks: the ways from and to park are shorter, and easier to route. Absent: measured to be best,
-    # or 0 at a travel_power of 1 or less, which asks for the least travel and nothing else.
+    # Robots stay near their parks: the ways from and to park are shorter, and easier to route. Absent: 0.3 in `plan`; 0 in
+    # `matching`, which it costs targets, and at a travel_power of 1 or less, which asks for the least travel alone.
     park_pull: float | None = Field(None, ge=0, le=100)
     # Visits of a tile; None = as many as the wanted completeness needs, and no more.
     visits: int | None = Field(None, ge=1)
@@ -78,7 +78,7 @@ class AllocationSettings(Settings):
         """`park_pull`, or what stands for it where it is absent."""
         if self.park_pull is not None:
             return self.park_pull
-        return PARK_PULL if self.travel_power > 1.0 else 0.0
+        return PARK_PULL if self.algorithm == "plan" and self.travel_power > 1.0 else 0.0
 
     @field_validator("mag_ranges")
     @classmethod
