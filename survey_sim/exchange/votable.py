@@ -127,7 +127,9 @@ def votable_bytes(
         for item in element.fields:
             item.ID = None  # else columns of one name in two TABLEs would share an ID, or need other names than their own
     buffer = BytesIO()
-    document.to_xml(buffer, tabledata_format=serialisation)
+    # astropy's C writer of TABLEDATA (8.0.2) writes one byte beyond its buffer, which in time crashes the process: valgrind
+    # shows it in tablewriter.c. Its writer in Python is slower, and sound.
+    document.to_xml(buffer, tabledata_format=serialisation, _debug_python_based_parser=True)
     return buffer.getvalue()
 
 
