@@ -44,4 +44,5 @@ def make_stages(run: Run) -> Iterator[Stage]:
         is_whole=lambda: stages.are_parts_whole(run),
     )
     yield stage("schedule", stages.make_night_schedule, files(*sky, *stages.GATHERED), files(*nights))
-    yield stage("report", stages.draw_report, files(*sky, *stages.GATHERED, *nights), [page])
+    drawn = [*files(*sky, *stages.GATHERED, *nights), *stages.report_files()]
+    yield stage("report", stages.draw_report, drawn, [page])

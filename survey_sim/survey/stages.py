@@ -27,7 +27,7 @@ STAGE_ROOMS = {
     "tiles": ("tiling",),
     "visits": ("allocation", "routing", "simulation", "survey/tile"),
     "schedule": ("schedule",),
-    "report": ("plotting",),
+    "report": ("plotting", "player", "survey/report"),
 }
 # Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
 GATHERED = tuple(table for table in TILE_TABLES if not TABLES[table].is_in_parts)
@@ -153,6 +153,12 @@ def catalogue_files(run: Run) -> list[Path]:
     names = {programme.catalogue for programme in run.settings.programme if programme.catalogue is not None}
     cards = [load_card(name, data_folder("catalogues")) for name in sorted(names)]
     return sorted({path for card in cards for path in (card.path, card.data) if path is not None})
+
+
+def report_files() -> list[Path]:
+    """Scripts, style sheets and templates of the report."""
+    folder = data_folder("reports")
+    return sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".mplstyle", ".jinja", ".css"})
 
 
 def selected_path(run: Run) -> Path:
