@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -17,7 +19,7 @@ import pytest
 from survey_sim import tables
 from survey_sim.check import check_run
 from survey_sim.schema import TABLES
-from survey_sim.survey.batches import Workers
+from survey_sim.survey.batches import BatchResult, Workers
 from survey_sim.survey.engine import plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from tests.small_survey import write_small_survey
@@ -232,3 +234,10 @@ def _cluster(folder: Path) -> Iterator[str]:
                 process.terminate()
             for process in processes:
                 process.wait(timeout=30)
+
+
+def test_cpu_time_is_counted_once() -> None:
+    ours = BatchResult("stars-00000", "", {}, 1, 1, 2.0, (platform.node(), os.getpid()))
+    assert not ours.is_elsewhere
+    assert replace(ours, process=(platform.node(), os.getpid() + 1)).is_elsewhere
+    assert replace(ours, process=("another", os.getpid())).is_elsewhere

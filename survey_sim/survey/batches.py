@@ -7,6 +7,7 @@ workers need no shared disk. The result does not depend on who did it, nor in wh
 from __future__ import annotations
 
 import os
+import platform
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -45,7 +46,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class BatchResult:
-    """The parts of a batch: Parquet bytes by table."""
+    """The parts of a batch: Parquet bytes by table; who made them, and in how much CPU time."""
 
     name: str
     signature: str
@@ -53,6 +54,12 @@ class BatchResult:
     n_tile: int
     n_visit: int
     cpu_s: float
+    process: tuple[str, int]
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether another process made it, whose CPU time is not counted in this one's."""
+        return self.process != _this_process()
 
 
 def run_batch(batch: Batch) -> BatchResult:
@@ -62,7 +69,11 @@ def run_batch(batch: Batch) -> BatchResult:
     frames = {table: pl.concat([tile[table] for tile in done]) for table in TILE_TABLES}
     parts = {table: tables.encode(frame, table) for table, frame in frames.items()}
     cpu_s = time.process_time() - begun
-    return BatchResult(batch.name, batch.signature, parts, len(batch.jobs), len(frames["visits"]), cpu_s)
+    return BatchResult(batch.name, batch.signature, parts, len(batch.jobs), len(frames["visits"]), cpu_s, _this_process())
+
+
+def _this_process() -> tuple[str, int]:
+    return platform.node(), os.getpid()
 
 
 def run_batches(batches: Sequence[Batch], workers: Workers) -> Iterator[BatchResult]:

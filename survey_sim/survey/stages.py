@@ -67,7 +67,7 @@ def simulate_visits(run: Run) -> dict[str, float]:
 
     Returns
     -------
-        CPU seconds of the batches done now.
+        CPU seconds that other processes spent on the batches done now.
     """
     batches = make_batches(run)
     names = {batch.name for batch in batches}
@@ -78,7 +78,7 @@ def simulate_visits(run: Run) -> dict[str, float]:
     with tile_progress(run.console, batches, kept) as advance:
         for result in run_batches(wanted, run.workers):
             _keep(run, result)
-            cpu_s += result.cpu_s
+            cpu_s += result.cpu_s if result.is_elsewhere else 0.0
             advance(result.n_tile, result.n_visit)
     for table in GATHERED:
         parts = [pl.read_parquet(_part(run, table, name)) for name in sorted(names)]
