@@ -4,12 +4,14 @@ A run's folder holds `T.parquet` for most tables, and `T/<part>.parquet` for the
 robot_times). Files are written to a temporary folder beside them, flushed, and renamed, so that no reader sees half a file.
 """
 
+import json
 import os
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
@@ -149,6 +151,17 @@ def scan(run_dir: Path, table: str) -> pl.LazyFrame:
 def read(run_dir: Path, table: str) -> pl.DataFrame:
     """A run's whole table; see `scan`."""
     return scan(run_dir, table).collect()
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """A run's run.json."""
+    path = folder / "run.json"
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("no such file", file=path, remedy="name the folder of a run") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as failure:
+        raise InputError(f"is not JSON: {failure}", file=path, remedy="run the pipeline again") from None
 
 
 def checksum(path: Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -71,7 +70,7 @@ class RunTables:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.record: dict[str, Any] = _read_record(folder / "run.json")
+        self.record: dict[str, Any] = _read_record(folder)
 
     def setting(self, *keys: str) -> Any:
         """A setting of the pipeline by its path of keys; None where the run has none."""
@@ -281,13 +280,8 @@ def evening_dates(evening_mjd: npt.NDArray[np.float64]) -> npt.NDArray[np.dateti
     return _MJD_EPOCH + (np.asarray(evening_mjd) * _DAY_US).astype("timedelta64[us]")
 
 
-def _read_record(path: Path) -> dict[str, Any]:
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError("no such file", file=path, remedy="name the folder of a run") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as failure:
-        raise InputError(f"is not JSON: {failure}", file=path, remedy="run the pipeline again") from None
+def _read_record(folder: Path) -> dict[str, Any]:
+    record = tables.read_record(folder)
     if not isinstance(record, dict) or "instrument" not in record:
-        raise InputError("is not the record of a run", file=path, remedy="run the pipeline again")
+        raise InputError("is not the record of a run", file=folder / "run.json", remedy="run the pipeline again")
     return record

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-if TYPE_CHECKING:
-    from survey_sim.survey.batches import Batch
 
 Advance = Callable[[int, int], None]
 
 
 @contextmanager
-def tile_progress(console: Console, batches: Sequence[Batch], kept: Sequence[Batch]) -> Iterator[Advance]:
+def tile_progress(console: Console, n_tile: int, n_kept: int) -> Iterator[Advance]:
     """Bar of tiles done, visits and time left; call what it gives with the tiles and visits of each finished batch."""
-    n_tile, n_kept = (sum(len(batch.jobs) for batch in some) for some in (batches, kept))
     columns = (
         TextColumn("  tiles"),
         BarColumn(),

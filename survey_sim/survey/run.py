@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
@@ -46,12 +47,12 @@ class Run:
         """Folder of what a run needs to go on, which is no table: manifests of parts, the engine's memory, the lock."""
         return self.folder / ".state"
 
-    @property
+    @cached_property
     def plate(self) -> Plate:
         """The robots."""
         return self.settings.plate(self.pipeline.parent)
 
-    @property
+    @cached_property
     def instrument(self) -> Instrument:
         """The instrument."""
         return self.settings.instrument.load(self.pipeline.parent)
@@ -86,7 +87,7 @@ class Run:
     def record(self, **entries: Any) -> None:
         """Set entries of run.json; entries that are mappings are merged."""
         path = self.folder / "run.json"
-        known = read_record(self.folder) if path.is_file() else {}
+        known = tables.read_record(self.folder) if path.is_file() else {}
         for key, value in entries.items():
             known[key] = {**known.get(key, {}), **value} if isinstance(value, Mapping) else value
         tables.write_bytes((json.dumps(known, indent=2, sort_keys=True) + "\n").encode(), path)
@@ -96,7 +97,7 @@ class Run:
         settings = self.settings.model_dump(mode="json")
         header = {"package": "survey-sim", "version": __version__, "schema_version": SCHEMA_VERSION}
         path = self.folder / "run.json"
-        known = read_record(self.folder) if path.is_file() else {}
+        known = tables.read_record(self.folder) if path.is_file() else {}
         kept: dict[str, Any] = {key: known[key] for key in ("stages", "catalogues", "targets", "warnings") if key in known}
         entries: dict[str, Any] = {
             **header,
@@ -132,17 +133,6 @@ def open_run(
     if folder.exists() and not folder.is_dir():
         raise InputError("is a file, not a folder", file=folder, remedy="choose another --out")
     return Run(folder, pipeline, settings, workers, console or Console(stderr=True, quiet=True))
-
-
-def read_record(folder: Path) -> dict[str, Any]:
-    """A run's run.json."""
-    path = folder / "run.json"
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError("no such file", file=path, remedy="name the folder of a run") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as failure:
-        raise InputError(f"is not JSON: {failure}", file=path, remedy="run the pipeline again") from None
 
 
 def code_digest(*rooms: str) -> str:

@@ -74,8 +74,8 @@ def simulate_visits(run: Run) -> dict[str, float]:
     _drop_stale_parts(run, names)
     wanted = [batch for batch in batches if not is_whole(run, batch)]
     cpu_s = 0.0
-    kept = [batch for batch in batches if batch not in wanted]
-    with tile_progress(run.console, batches, kept) as advance:
+    n_tile, n_wanted = (sum(len(batch.jobs) for batch in some) for some in (batches, wanted))
+    with tile_progress(run.console, n_tile, n_tile - n_wanted) as advance:
         for result in run_batches(wanted, run.workers):
             _keep(run, result)
             cpu_s += result.cpu_s if result.is_elsewhere else 0.0

@@ -19,7 +19,6 @@ from survey_sim.motion import Legs, alone_time_s
 from survey_sim.schema import PATHS, TABLES, TARGET_KINDS
 from survey_sim.simulation import SimulatedPath, make_ticks, simulate
 from survey_sim.survey.field.targets import field_targets
-from survey_sim.survey.run import read_record
 
 KEYS = ("survey", "tile_id", "visit_id")
 _LEG_COLUMNS = ("start_s", "rotate_deg", "dx_mm", "dy_mm", "precise_mm", "x_mm", "y_mm", "theta_deg")
@@ -156,7 +155,7 @@ def visit_rows(
 
 def plate_of_run(run_dir: Path, survey: str) -> Plate:
     """The robots of a finished run."""
-    record = read_record(run_dir)
+    record = tables.read_record(run_dir)
     if "instrument" not in record:
         raise InputError("gives no instrument", file=run_dir / "run.json", remedy="run it again")
     robots = tables.scan(run_dir, "robots").filter(survey=survey).collect()
@@ -181,7 +180,7 @@ def visits_of_run(run_dir: Path, survey: str, tile_id: int, visit_ids: Iterable[
         table: tables.scan(run_dir, table).filter(survey=survey, tile_id=tile_id).collect()
         for table in ("visits", "allocations", "legs", "robot_times")
     }
-    record = read_record(run_dir)
+    record = tables.read_record(run_dir)
     params = {"survey": survey, "tile_id": tile_id, **_settings_params(record, survey)}
     standing = parked(plate) if "start_positions" not in record else _recorded_standing(record)
     wanted = None if visit_ids is None else set(visit_ids)
@@ -217,7 +216,7 @@ def conformed(frame: pl.DataFrame, table: str) -> pl.DataFrame:
 def _settings_params(record: Mapping[str, Any], survey: str) -> dict[str, Any]:
     settings = record.get("settings", {})
     allocation = settings.get("allocation", {})
-    allocation = allocation.get("by_survey", {}).get(survey) or allocation.get("every", allocation)
+    allocation = allocation.get("surveys", {}).get(survey) or allocation.get("every", allocation)
     found = {
         "algorithm": allocation.get("algorithm"),
         "travel_power": allocation.get("travel_power"),
