@@ -1,6 +1,7 @@
 """The simulator as an application: driven as a person would, and refusing what it must."""
 
 import json
+import multiprocessing
 import socket
 import threading
 import time
@@ -65,10 +66,14 @@ def ask(request: urllib.request.Request | str) -> tuple[int, dict]:
         return refusal.code, json.loads(text) if text.startswith(b"{") else {}
 
 
+def cancel(address: str, job: int, headers: dict[str, str] | None = None) -> tuple[int, dict]:
+    return ask(urllib.request.Request(f"{address}/jobs/{job}/cancel", b"", headers or {}))
+
+
 def finish(address: str, job: int) -> dict:
     for _ in range(1200):
         _, report = ask(f"{address}/jobs/{job}")
-        if report["state"] in {"done", "failed"}:
+        if report["state"] in {"done", "failed", "cancelled"}:
             return report
         time.sleep(0.05)
     raise AssertionError(report)
@@ -138,6 +143,37 @@ class TestAnswers:
         assert finish(address, report["job"])["state"] == "done"
         assert not Path("/tmp/evil.xml").exists()
 
+    def test_a_job_can_be_cancelled_and_the_next_one_runs(self, address: str, field: Path, tmp_path: Path) -> None:  # noqa: F811
+        many = tmp_path / "targets.csv"
+        place = np.random.default_rng(5).uniform(-110, 110, (4000, 2))
+        pl.DataFrame({"target_id": np.arange(4000), "x_mm": place[:, 0], "y_mm": place[:, 1]}).write_csv(many)
+        wish = {"source": "targets", "instrument": "taipan-300", "visits": "50"}
+        jobs = [send(address, wish, [many])[1]["job"] for _ in range(2)]
+        while ask(f"{address}/jobs/{jobs[0]}")[1]["state"] == "waiting":
+            time.sleep(0.02)
+        assert cancel(address, jobs[0], {"Origin": "http://elsewhere.example"})[0] == 403
+        assert [cancel(address, job)[1]["state"] for job in jobs] == ["cancelled"] * 2
+        assert cancel(address, 999)[0] == 404
+        _, after = send(address, {"source": "router"}, xml(field, "router"))
+        assert finish(address, after["job"])["state"] == "done"
+        assert ask(f"{address}/jobs/{jobs[0]}")[1]["stage"] == "cancelled"
+        assert ask(f"{address}/jobs/{jobs[0]}/player")[0] == 404
+        assert cancel(address, after["job"])[1]["state"] == "done"
+
+    def test_a_killed_job_is_told_and_the_next_one_runs(self, address: str, field: Path) -> None:  # noqa: F811
+        wish = {"source": "allocation", "router": "coordinated"}
+        _, killed = send(address, wish, xml(field, "allocation"))
+        while ask(f"{address}/jobs/{killed['job']}")[1]["state"] == "waiting":
+            time.sleep(0.01)
+        while not (children := multiprocessing.active_children()):
+            time.sleep(0.01)
+        children[0].kill()
+        report = finish(address, killed["job"])
+        if report["state"] == "failed":  # else it was done before the kill
+            assert "was ended" in report["error"]
+        _, after = send(address, {"source": "router"}, xml(field, "router"))
+        assert finish(address, after["job"])["state"] == "done"
+
     def test_sources_must_be_there(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no such file or folder"):
             make_app([tmp_path / "nothing"])
@@ -183,6 +219,22 @@ class TestInBrowser:
         browser.switch_to.default_content()
         assert browser.find_element(By.ID, "zip").get_attribute("href").endswith("/run.zip")
         assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+    def test_cancel(self, browser, address: str, tmp_path: Path) -> None:  # noqa: F811
+        from selenium.webdriver.common.by import By
+
+        place = np.random.default_rng(5).uniform(-110, 110, (4000, 2))
+        targets = {"target_id": np.arange(4000), "x_mm": place[:, 0], "y_mm": place[:, 1]}
+        pl.DataFrame(targets).write_csv(tmp_path / "targets.csv")
+        browser.get(address)
+        browser.find_element(By.ID, "files").send_keys(str(tmp_path / "targets.csv"))
+        browser.find_element(By.ID, "run").click()
+        self.wait(browser, "!document.getElementById('cancel').hidden")
+        assert not browser.find_element(By.ID, "run").is_displayed()
+        browser.find_element(By.ID, "cancel").click()
+        self.wait(browser, "!document.getElementById('run').hidden")
+        assert browser.find_element(By.ID, "status").text == "cancelled"
+        assert browser.find_element(By.ID, "player").get_attribute("hidden")
 
     def test_offered_router_files_and_clear_errors(self, browser, address: str, tmp_path: Path) -> None:  # noqa: F811
         from selenium.webdriver.common.by import By

@@ -261,12 +261,15 @@ class TimeStrip {
 
   draw(time, selected) {
     const { width, height, ratio } = this.layout();
-    if (this.stale || this.ground.width !== width || this.ground.height !== height) this.drawGround(width, height, ratio);
+    const isStale = this.stale || this.ground.width !== width || this.ground.height !== height;
+    const x = Math.round(this.left + (time / this.span) * (this.right - this.left));
+    if (!isStale && this.shown.x === x && this.shown.selected === selected) return; // nothing moved by a pixel
+    this.shown = { x, selected };
+    if (isStale) this.drawGround(width, height, ratio);
     const context = this.canvas.getContext("2d");
     context.clearRect(0, 0, width, height); context.drawImage(this.ground, 0, 0);
     context.strokeStyle = context.fillStyle = cssColour("--accent"); context.lineWidth = 1.5 * ratio;
     if (this.look.strip === "when") {
-      const x = this.left + (time / this.span) * (this.right - this.left);
       context.beginPath(); context.moveTo(x, this.top - 4); context.lineTo(x, this.bottom); context.stroke();
     }
     if (selected >= 0) {

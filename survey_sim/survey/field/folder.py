@@ -91,11 +91,15 @@ def write_folder(
     out.mkdir(parents=True, exist_ok=True)
     _clear(out)
     for name, content in encoded.items():
-        path = out / (f"{name}/{SURVEY}-00000.parquet" if TABLES[name].is_in_parts else f"{name}.parquet")
-        tables.write_bytes(content, path, aside=out)
+        tables.write_bytes(content, table_path(out, name), aside=out)
     for place, content in files.items():
         tables.write_bytes(content, out / place, aside=out)
     tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True) + "\n").encode(), out / "run.json")
+
+
+def table_path(out: Path, table: str) -> Path:
+    """File of a table of a single field."""
+    return out / (f"{table}/{SURVEY}-00000.parquet" if TABLES[table].is_in_parts else f"{table}.parquet")
 
 
 def common_tables(plate: Plate, targets: pl.DataFrame, centre_deg: tuple[float, float] | None) -> dict[str, pl.DataFrame]:

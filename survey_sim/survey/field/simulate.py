@@ -26,6 +26,7 @@ from survey_sim.survey.field.folder import (
     common_tables,
     file_name,
     find_files,
+    table_path,
     write_folder,
 )
 from survey_sim.survey.field.route import check_plates, visit_tables
@@ -105,8 +106,8 @@ def simulate_field(
         stopped = standing_at(visits[-1], PATHS[0], stop_at_s)
         texts[f"{XML}/{STOPPED_FILE}"] = to_bytes(positions_document(plate, stopped))
     if is_run and out.resolve() == sources[0].resolve():
-        for name in ("paths", "visits"):
-            tables.write(frames[name], name, out / f"{name}.parquet")
+        for name, frame in frames.items():
+            tables.write(frame, name, table_path(out, name))
         for place, content in texts.items():
             tables.write_bytes(content, out / place)
     else:

@@ -15,6 +15,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -40,6 +41,9 @@ _POLICY = (
 _BESIDE = {"catalogue.xml", "system_parameters.xml", "starbugs.xml", "stow.xml"}
 
 
+_FORBIDDEN = JSONResponse({"error": "only the window's own page may ask for this"}, status_code=403)
+
+
 def make_app(sources: Sequence[Path] = ()) -> Starlette:
     """The application.
 
@@ -58,6 +62,7 @@ def make_app(sources: Sequence[Path] = ()) -> Starlette:
             Route("/", window.page),
             Route("/jobs", window.begin, methods=["POST"]),
             Route("/jobs/{number:int}", window.report),
+            Route("/jobs/{number:int}/cancel", window.cancel, methods=["POST"]),
             Route("/jobs/{number:int}/player", window.player),
             Route("/jobs/{number:int}/run.zip", window.archive),
         ],
@@ -103,9 +108,8 @@ class _Window:
 
     async def begin(self, request: Request) -> Response:
         """Take files and wishes, and begin a job."""
-        origin = request.headers.get("origin")
-        if origin is not None and origin != f"http://{request.headers['host']}":
-            return JSONResponse({"error": "only the window's own page may ask for this"}, status_code=403)
+        if not _is_own_page(request):
+            return _FORBIDDEN
         if int(request.headers.get("content-length", N_BYTES_UPLOAD_MAX + 1)) > N_BYTES_UPLOAD_MAX:
             return JSONResponse({"error": f"more than {N_BYTES_UPLOAD_MAX >> 20} MiB"}, status_code=413)
         async with request.form(max_files=N_FILES_MAX, max_fields=40) as form:
@@ -137,6 +141,16 @@ class _Window:
         job = self._job(request)
         return JSONResponse({"error": "no such job"}, status_code=404) if job is None else JSONResponse(job.report())
 
+    async def cancel(self, request: Request) -> Response:
+        """End a job."""
+        if not _is_own_page(request):
+            return _FORBIDDEN
+        job = self._job(request)
+        if job is None:
+            return JSONResponse({"error": "no such job"}, status_code=404)
+        await run_in_threadpool(self.jobs.cancel, job)
+        return JSONResponse(job.report())
+
     async def player(self, request: Request) -> Response:
         """The player's page of a finished job."""
         job = self._job(request)
@@ -154,6 +168,12 @@ class _Window:
 
     def _job(self, request: Request) -> Job | None:
         return self.jobs.get(request.path_params["number"])
+
+
+def _is_own_page(request: Request) -> bool:
+    """Whether the window's own page asks, or a program that is no browser."""
+    origin = request.headers.get("origin")
+    return origin is None or origin == f"http://{request.headers['host']}"
 
 
 def _typed(fields: Mapping[str, str]) -> dict[str, Any]:

@@ -33,6 +33,14 @@ function showPlayer(job) {
   $("player").hidden = false; $("empty").hidden = true;
 }
 
+/* What the button does: run, or cancel the job that is at work. */
+function showBusy(job) {
+  $("run").hidden = job !== null;
+  $("cancel").hidden = job === null;
+  $("cancel").disabled = false;
+  $("cancel").onclick = () => { $("cancel").disabled = true; fetch(`/jobs/${job}/cancel`, { method: "POST" }); };
+}
+
 async function run(event) {
   event.preventDefault();
   $("run").disabled = true;
@@ -40,12 +48,14 @@ async function run(event) {
   try {
     const sent = await fetch("/jobs", { method: "POST", body: new FormData($("form")) });
     let report = await sent.json();
+    if (sent.ok) showBusy(report.job);
     while (sent.ok && ["waiting", "running"].includes(report.state)) {
       show({ status: report.stage });
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));
       report = await (await fetch(`/jobs/${report.job}`)).json();
     }
     if (report.error) show({ error: report.error });
+    else if (report.state === "cancelled") show({ status: "cancelled" });
     else {
       show({ status: report.findings.length ? `${report.findings.length} findings` : "done: no collision", findings: report.findings, job: report.job });
       showPlayer(report.job);
@@ -54,6 +64,7 @@ async function run(event) {
     show({ error: `the simulator does not answer (${fault.message})` });
   } finally {
     $("run").disabled = false;
+    showBusy(null);
   }
 }
 
