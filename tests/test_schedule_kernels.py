@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from survey_sim.schedule import kernels
+from survey_sim.schedule.nightly import observe_night
+from survey_sim.schedule.robots import TabledRobots
 from tests import naive_schedule
 
 FILLS, TAKES = kernels.FILLS, kernels.TAKES
@@ -63,8 +65,8 @@ def make_night(level, is_cloudy, moon=None, sidereal_rad=0.0):
 
 
 def run(night, fields, visits, targets, rules, state):
-    log = np.empty((kernels.MAX_CUT_SHORT + 8_640, kernels.N_LOG))
-    return log[: kernels.observe_night(night, fields, visits, targets, rules, state, log)]
+    chain = TabledRobots(visits, rules.configuration_s, 1).begin_night(is_exact=True)
+    return observe_night(night, fields, visits, targets, rules, state, chain)
 
 
 @pytest.fixture

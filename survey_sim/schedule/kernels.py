@@ -127,6 +127,28 @@ class Night(NamedTuple):
     is_cloudy: BoolArray
 
 
+class Course(NamedTuple):
+    """How far a night has gone; n tiles.
+
+    candidate: (n,) visit that each tile offers, -1 if none; is_stale: (n,) tiles that must look again for one; is_passed:
+    (n,) tiles that did not fit at this moment; weight: (n_programme,) what a target counts; until: (2, n_survey, n_minute)
+    ends of the runs of minutes that a survey at least fills, and takes, s; clock: time (NOW) and end of the last readout
+    (READ_OUT), s; place: visit of the last pointing (PREVIOUS), -1 with the telescope at the zenith and the robots at park,
+    and number of pointings (N_DONE).
+    """
+
+    candidate: IntArray
+    is_stale: BoolArray
+    is_passed: BoolArray
+    weight: FloatArray
+    until: FloatArray
+    clock: FloatArray
+    place: IntArray
+
+
+# Places in a course's `clock` and `place`.
+NOW, READ_OUT = 0, 1
+PREVIOUS, N_DONE = 0, 1
 # Columns of the log of a night.
 LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD = range(8)
 N_LOG = 8
@@ -253,10 +275,12 @@ def work_left(tile_survey, first_visit, visits, state, weight, overhead_s, repea
 
 
 @njit(cache=True)
-def credit(visits, targets, state, visit, night, success_frac, key, is_stale):
-    """Count a good exposure: draw each target's success, note what it still wants, and which tiles' offers that alters."""
+def credit(visits, targets, state, visit, night, success_frac, key, lost, is_stale):
+    """Count a good exposure: draw the success of each target but those lost, and note which tiles' offers that alters."""
     for h in range(visits.first_holding[visit], visits.first_holding[visit + 1]):
         target = visits.target[h]
+        if (lost == target).any():
+            continue
         programme = targets.programme[target]
         state.n_tried[target] += 1
         if uniform(key, targets.target_id[target], state.n_tried[target]) >= success_frac[programme]:
@@ -298,135 +322,190 @@ def _first_cloud(is_cloudy, start_s, end_s):
 
 
 @njit(cache=True)
-def _is_near_moon(direction, moon, cos_max):
-    """Whether a direction is nearer to the Moon than allowed; never so for one that is down (NaN)."""
-    return direction[0] * moon[0] + direction[1] * moon[1] + direction[2] * moon[2] > cos_max
-
-
-@njit(cache=True)
-def _offer(fields, visits, rules, state, weight, is_stale, candidate):
-    """Fill (n,) visit that each stale tile offers, -1 if none; gives the tiles that offer one."""
-    active = np.empty(len(candidate), dtype=np.int64)
+def _offer(fields, visits, rules, state, course):
+    """Renew what each stale tile offers, -1 if nothing; gives the tiles that offer a visit."""
+    active = np.empty(len(course.candidate), dtype=np.int64)
     n_active = 0
-    for tile in range(len(candidate)):
-        if is_stale[tile] and fields.window_rad[tile] > 0.0:
-            candidate[tile] = next_candidate(fields, visits, state, tile, weight, rules.repeat_min_frac)
-        is_stale[tile] = False
-        if candidate[tile] >= 0:
+    for tile in range(len(course.candidate)):
+        if course.is_stale[tile] and fields.window_rad[tile] > 0.0:
+            course.candidate[tile] = next_candidate(fields, visits, state, tile, course.weight, rules.repeat_min_frac)
+        course.is_stale[tile] = False
+        if course.candidate[tile] >= 0:
             active[n_active] = tile
             n_active += 1
     return active[:n_active]
 
 
 @njit(cache=True)
-def _choose(night, fields, visits, rules, state, weight, candidate, active, until, now, readout, previous):
-    """Tile to observe now, and slew, configuration and start of its exposure, s; tile -1 if none can be.
-
-    `until` (2, n_survey, n_minute): ends of the runs of minutes that a survey at least fills, and takes; `previous`:
-    the last visit, -1 if the telescope is at the zenith and the robots at park.
-    """
-    sin_lat, cos_lat = np.sin(rules.latitude_rad), np.cos(rules.latitude_rad)
-    sidereal = night.sidereal_rad + SIDEREAL_RAD_S * now
-    end_s = len(night.is_cloudy) * MINUTE_S
-    previous_tile, telescope_ha, telescope_dec = -1, 0.0, rules.latitude_rad
-    if previous >= 0:
-        previous_tile = visits.tile[previous]
-        telescope_ha = wrap(sidereal - fields.ra_rad[previous_tile])
-        telescope_dec = fields.dec_rad[previous_tile]
-    best, best_level, best_score = -1, 0, 0.0
-    best_slew, best_configuration, best_start = 0.0, 0.0, 0.0
-    for tile in active:
-        visit = candidate[tile]
-        survey = fields.survey[tile]
-        ha = wrap(sidereal - fields.ra_rad[tile])
-        window = fields.window_rad[tile]
-        if ha > window:
-            continue
-        slew = 0.0
-        if tile != previous_tile:
-            way = max(abs(ha - telescope_ha), abs(fields.dec_rad[tile] - telescope_dec))
-            slew = way / rules.slew_rad_s + rules.settle_s
-        configuration = configuration_time(visits, visit, previous, rules.configuration_s)
-        start = now + max(slew, max(configuration, readout)) + rules.calibration_s[survey]
-        end = start + visits.exposure_s[visit]
-        ha_start, ha_end = ha + SIDEREAL_RAD_S * (start - now), ha + SIDEREAL_RAD_S * (end - now)
-        if end > end_s or ha_start < -window or ha_end > window:
-            continue
-        minute = int(start / MINUTE_S)
-        level = TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else NONE
-        if level == NONE or level < best_level:
-            continue
-        cos_ha = np.cos(0.5 * (ha_start + ha_end))
-        sin_alt = sin_lat * np.sin(fields.dec_rad[tile]) + cos_lat * np.cos(fields.dec_rad[tile]) * cos_ha
-        worth = visit_worth(state, visit, weight) * rules.survey_weight[survey] * fields.pressure[tile]
-        score = worth * (fields.min_airmass[tile] * sin_alt) ** rules.airmass_power / (end - now)
-        if score <= 0.0 or (level == best_level and score <= best_score):
-            continue
-        direction, cos_max = fields.direction[tile], rules.moon_cos_max[survey]
-        if _is_near_moon(direction, night.moon[minute], cos_max):
-            continue
-        if _is_near_moon(direction, night.moon[int(np.ceil(end / MINUTE_S))], cos_max):
-            continue
-        best, best_level, best_score = tile, level, score
-        best_slew, best_configuration, best_start = slew, configuration, start
-    return best, best_slew, best_configuration, best_start
+def _telescope(fields, visits, sidereal, latitude, previous):
+    """Hour angle and declination at which the telescope stands after the pointing at a visit (-1: the zenith), rad."""
+    if previous < 0:
+        return 0.0, latitude
+    tile = visits.tile[previous]
+    return wrap(sidereal - fields.ra_rad[tile]), fields.dec_rad[tile]
 
 
 @njit(cache=True)
-def observe_night(night, fields, visits, targets, rules, state, log):
-    """Observe one night; gives the number of pointings written to `log` (enough rows, N_LOG).
+def _way(ha, dec, from_ha, from_dec):
+    """How far the telescope slews along the axis of the longer way, rad."""
+    return max(abs(ha - from_ha), abs(dec - from_dec))
+
+
+@njit(cache=True)
+def _stays_up(ha, window, to_start, to_end):
+    """Whether a field is within its window from start to end, so many s from now, when its hour angle is `ha`, rad."""
+    return ha + SIDEREAL_RAD_S * to_start >= -window and ha + SIDEREAL_RAD_S * to_end <= window
+
+
+@njit(cache=True)
+def _level(until, survey, start, end):
+    """Right of a survey to the time from start to end, s, which ends within the night."""
+    minute = int(start / MINUTE_S)
+    return TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else NONE
+
+
+@njit(cache=True)
+def _is_moonlit(direction, moon, start, end, cos_max):
+    """Whether a direction is nearer to the Moon than allowed at start or end, s; never to one that is down (NaN)."""
+    for minute in (int(start / MINUTE_S), int(np.ceil(end / MINUTE_S))):
+        if direction[0] * moon[minute, 0] + direction[1] * moon[minute, 1] + direction[2] * moon[minute, 2] > cos_max:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _choose(night, fields, visits, rules, state, course, active):
+    """Tile of greatest score now, by the usual configuration times; -1 if none can be observed."""
+    sin_lat, cos_lat = np.sin(rules.latitude_rad), np.cos(rules.latitude_rad)
+    now, previous = course.clock[NOW], course.place[PREVIOUS]
+    sidereal = night.sidereal_rad + SIDEREAL_RAD_S * now
+    end_s = len(night.is_cloudy) * MINUTE_S
+    readout = max(0.0, course.clock[READ_OUT] - now)
+    previous_tile = visits.tile[previous] if previous >= 0 else -1
+    from_ha, from_dec = _telescope(fields, visits, sidereal, rules.latitude_rad, previous)
+    best, best_level, best_score = -1, NONE, 0.0
+    for tile in active:
+        ha, window = wrap(sidereal - fields.ra_rad[tile]), fields.window_rad[tile]
+        if ha > window or course.is_passed[tile]:
+            continue
+        visit, survey = course.candidate[tile], fields.survey[tile]
+        slew = 0.0
+        if tile != previous_tile:
+            slew = _way(ha, fields.dec_rad[tile], from_ha, from_dec) / rules.slew_rad_s + rules.settle_s
+        configuration = configuration_time(visits, visit, previous, rules.configuration_s)
+        start = now + max(slew, max(configuration, readout)) + rules.calibration_s[survey]
+        end = start + visits.exposure_s[visit]
+        if end > end_s or not _stays_up(ha, window, start - now, end - now):
+            continue
+        level = _level(course.until, survey, start, end)
+        if level == NONE or level < best_level:
+            continue
+        cos_ha = np.cos(ha + SIDEREAL_RAD_S * (0.5 * (start + end) - now))
+        sin_alt = sin_lat * np.sin(fields.dec_rad[tile]) + cos_lat * np.cos(fields.dec_rad[tile]) * cos_ha
+        worth = visit_worth(state, visit, course.weight) * rules.survey_weight[survey] * fields.pressure[tile]
+        score = worth * (fields.min_airmass[tile] * sin_alt) ** rules.airmass_power / (end - now)
+        if score <= 0.0 or (level == best_level and score <= best_score):
+            continue
+        if not _is_moonlit(fields.direction[tile], night.moon, start, end, rules.moon_cos_max[survey]):
+            best, best_level, best_score = tile, level, score
+    return best
+
+
+@njit(cache=True)
+def begin_night(night, fields, rules, state):
+    """The course of a night before its first pointing."""
+    n_tile, n_minute = len(fields.survey), len(night.is_cloudy)
+    until = np.zeros((2, len(rules.calibration_s), n_minute))
+    _ends_of_runs(night.level, FILLS, until[0])
+    _ends_of_runs(night.level, TAKES, until[1])
+    weight = np.empty(len(rules.n_enough))
+    update_weights(rules, state, weight)
+    return Course(
+        np.full(n_tile, -1, dtype=np.int64),
+        np.ones(n_tile, dtype=np.bool_),
+        np.zeros(n_tile, dtype=np.bool_),
+        weight,
+        until,
+        np.zeros(2),
+        np.array([-1, 0]),
+    )
+
+
+@njit(cache=True)
+def next_tile(night, fields, visits, rules, state, course):
+    """Let the night go on, through cloud and with nothing to observe, to its next pointing: its tile; -1: it is over.
 
     At every moment of clear sky the visit of greatest
 
         worth x pressure x (least airmass / airmass)^power / (overhead + exposure)
 
-    is observed, among the visits that fit wholly into the survey's time, the field's window and its distance from the
+    is chosen, among the visits that fit wholly into the survey's time, the field's window and its distance from the
     Moon; time that a survey takes goes before time that it only fills. Equal visits: the first in order. Times are
     seconds from the night's first minute.
     """
-    n_minute = len(night.is_cloudy)
-    until = np.zeros((2, len(rules.calibration_s), n_minute))
-    _ends_of_runs(night.level, FILLS, until[0])
-    _ends_of_runs(night.level, TAKES, until[1])
-    candidate = np.full(len(fields.survey), -1, dtype=np.int64)
-    is_stale = np.ones(len(fields.survey), dtype=np.bool_)
-    weight = np.empty(len(rules.n_enough))
-    update_weights(rules, state, weight)
-    active = _offer(fields, visits, rules, state, weight, is_stale, candidate)
-    now, read_out_s, previous, n_log = 0.0, 0.0, -1, 0
-    while now < n_minute * MINUTE_S and len(active):
-        if night.is_cloudy[int(now / MINUTE_S)]:
-            now = (int(now / MINUTE_S) + 1) * MINUTE_S
-            continue
-        readout = max(0.0, read_out_s - now)
-        tile, slew, configuration, start = _choose(
-            night, fields, visits, rules, state, weight, candidate, active, until, now, readout, previous
-        )
-        if tile < 0:
-            now += rules.idle_step_s
-            continue
-        visit = candidate[tile]
-        end = start + visits.exposure_s[visit]
-        stop = _first_cloud(night.is_cloudy, now, end)
-        status = OBSERVED if stop == end else INTERRUPTED if stop > start else NOT_STARTED
-        log[n_log, LOG_VISIT] = visit
-        log[n_log, LOG_START] = start
-        log[n_log, LOG_SLEW] = slew
-        log[n_log, LOG_CONFIGURATION] = configuration
-        log[n_log, LOG_READOUT] = readout
-        log[n_log, LOG_EXPOSURE] = visits.exposure_s[visit] if status == OBSERVED else max(0.0, stop - start)
-        log[n_log, LOG_STATUS] = status
-        log[n_log, LOG_OVERHEAD] = min(stop, start) - now
-        n_log += 1
-        now, previous = stop, visit
-        if status != NOT_STARTED:
-            read_out_s = stop + rules.readout_s
-        if status == OBSERVED:
-            credit(visits, targets, state, visit, night.number, rules.success_frac, rules.success_key, is_stale)
-            if visit == state.next_visit[tile]:
-                state.next_visit[tile] += 1
-            is_stale[tile] = True
-            if update_weights(rules, state, weight):
-                is_stale[:] = True
-            active = _offer(fields, visits, rules, state, weight, is_stale, candidate)
-    return n_log
+    active = _offer(fields, visits, rules, state, course)
+    while course.clock[NOW] < len(night.is_cloudy) * MINUTE_S and len(active):
+        minute = int(course.clock[NOW] / MINUTE_S)
+        if night.is_cloudy[minute]:
+            course.clock[NOW] = (minute + 1) * MINUTE_S
+        else:
+            tile = _choose(night, fields, visits, rules, state, course, active)
+            if tile >= 0:
+                return tile
+            course.clock[NOW] += rules.idle_step_s
+        course.is_passed[:] = False
+    return -1
+
+
+@njit(cache=True)
+def point(night, fields, visits, targets, rules, state, course, tile, configuration, lost, log):
+    """Point at a tile's visit, if it fits with the time that its configuration really takes, s; whether it does.
+
+    One that does not is passed over until time goes on. `lost`: targets that no robot holds after all. The pointing is
+    written to the next row of `log` (enough rows, N_LOG).
+    """
+    now, previous = course.clock[NOW], course.place[PREVIOUS]
+    visit, survey = course.candidate[tile], fields.survey[tile]
+    sidereal = night.sidereal_rad + SIDEREAL_RAD_S * now
+    ha, dec = wrap(sidereal - fields.ra_rad[tile]), fields.dec_rad[tile]
+    slew = 0.0
+    if previous < 0 or visits.tile[previous] != tile:
+        from_ha, from_dec = _telescope(fields, visits, sidereal, rules.latitude_rad, previous)
+        slew = _way(ha, dec, from_ha, from_dec) / rules.slew_rad_s + rules.settle_s
+    readout = max(0.0, course.clock[READ_OUT] - now)
+    start = now + max(slew, max(configuration, readout)) + rules.calibration_s[survey]
+    end = start + visits.exposure_s[visit]
+    if (
+        end > len(night.is_cloudy) * MINUTE_S
+        or not _stays_up(ha, fields.window_rad[tile], start - now, end - now)
+        or _level(course.until, survey, start, end) == NONE
+        or _is_moonlit(fields.direction[tile], night.moon, start, end, rules.moon_cos_max[survey])
+    ):
+        course.is_passed[tile] = True
+        return False
+    stop = _first_cloud(night.is_cloudy, now, end)
+    status = OBSERVED if stop == end else INTERRUPTED if stop > start else NOT_STARTED
+    row = log[course.place[N_DONE]]
+    row[LOG_VISIT] = visit
+    row[LOG_START] = start
+    row[LOG_SLEW] = slew
+    row[LOG_CONFIGURATION] = configuration
+    row[LOG_READOUT] = readout
+    row[LOG_EXPOSURE] = visits.exposure_s[visit] if status == OBSERVED else max(0.0, stop - start)
+    row[LOG_STATUS] = status
+    row[LOG_OVERHEAD] = min(stop, start) - now
+    course.place[N_DONE] += 1
+    course.place[PREVIOUS] = visit
+    course.clock[NOW] = stop
+    course.is_passed[:] = False
+    if status != NOT_STARTED:
+        course.clock[READ_OUT] = stop + rules.readout_s
+    if status == OBSERVED:
+        success_frac, key = rules.success_frac, rules.success_key
+        credit(visits, targets, state, visit, night.number, success_frac, key, lost, course.is_stale)
+        if visit == state.next_visit[tile]:
+            state.next_visit[tile] += 1
+        course.is_stale[tile] = True
+        if update_weights(rules, state, course.weight):
+            course.is_stale[:] = True
+    return True

@@ -24,19 +24,23 @@ import polars as pl
 
 from survey_sim.errors import InputError, did_you_mean
 from survey_sim.schedule import kernels
-from survey_sim.schedule.ephemeris import make_ephemeris
+from survey_sim.schedule.ephemeris import Ephemeris, make_ephemeris
 from survey_sim.schedule.fields import LookAhead, make_fields
-from survey_sim.schedule.kernels import Rules, observe_night
+from survey_sim.schedule.kernels import Rules, State
 from survey_sim.schedule.problem import Problem, initial_state, make_problem
+from survey_sim.schedule.robots import Chain, Robots, TabledRobots
 from survey_sim.schedule.settings import SURVEY_RULES, Programme, ScheduleSettings, SurveyRule
-from survey_sim.schedule.sky import make_nights
+from survey_sim.schedule.sky import Night, make_nights
 from survey_sim.schedule.status import exposures_table, find_warnings, nights_table, target_status_table
 from survey_sim.schedule.weather import make_weather
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 # Key of the targets' successes among the streams of a run.
 _STREAM_SUCCESS = 2
+# Times that nights are observed with estimates before they are observed one by one.
+N_GUESS = 2
 
 
 @dataclass(frozen=True)
@@ -99,25 +103,86 @@ def make_schedule(
     is_cloudy = make_weather(settings.start_date, settings.n_night, settings.weather, seed)
     nights = make_nights(ephemeris, is_cloudy, rules, settings)
     look_ahead = LookAhead.of(problem, ephemeris, nights, rules, settings)
-    numbers = _numbers(problem, rules, settings, seed)
-    state = initial_state(problem)
-    shortest_s = min((programme.exposure_s for programme in problem.programmes), default=kernels.DAY_S)
-    log = np.empty((int(kernels.DAY_S / shortest_s) + kernels.MAX_CUT_SHORT, kernels.N_LOG))
-    logs, complete = [], np.zeros((len(nights), len(problem.programmes)), dtype=np.int64)
-    for number, night in enumerate(nights):
-        n_log = 0
-        if not night.is_engineering:
-            fields = make_fields(problem, ephemeris, night, rules, look_ahead.pressure(number, state, numbers))
-            sky = kernels.Night(number, night.sidereal_rad, night.level, night.moon, night.is_cloudy)
-            n_log = observe_night(sky, fields, problem.visits, problem.targets, numbers, state, log)
-        logs.append(log[:n_log].copy())
-        complete[number] = state.n_complete
+    survey = _Survey(problem, ephemeris, nights, rules, look_ahead, _numbers(problem, rules, settings, seed))
+    robots = TabledRobots(problem.visits, survey.numbers.configuration_s, len(nights))
+    logs, complete, state = survey.observe(robots)
     return Schedule(
         exposures=exposures_table(problem, ephemeris, nights, logs),
         nights=nights_table(problem, nights, logs, complete),
         target_status=target_status_table(problem, state, look_ahead, allocation_reasons),
         warnings=find_warnings(problem, settings, nights, look_ahead),
     )
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """All that the nights need; see `make_schedule`."""
+
+    problem: Problem
+    ephemeris: Ephemeris
+    nights: Sequence[Night]
+    rules: Sequence[SurveyRule]
+    look_ahead: LookAhead
+    numbers: Rules
+
+    def observe(self, robots: Robots) -> tuple[list[FloatArray], IntArray, State]:
+        """Log of every night, targets of each programme complete after it (n_night, n_programme), and the end.
+
+        Some nights at a time are observed with estimates of what is not known, the robots' ways are then found for all
+        of them at once, and the nights observed again, until no estimate was needed; the last time, nothing is estimated.
+        So the result is that of night after night in order.
+        """
+        state = initial_state(self.problem)
+        logs: list[FloatArray] = []
+        complete = np.zeros((len(self.nights), len(self.problem.programmes)), dtype=np.int64)
+        while len(logs) < len(self.nights):
+            ahead = range(len(logs), min(len(logs) + robots.n_ahead, len(self.nights)))
+            for is_exact in (*(False,) * N_GUESS, True):
+                trial = State(*(array.copy() for array in state))
+                chains = [robots.begin_night(is_exact=is_exact) for _ in ahead]
+                found = []
+                for number, chain in zip(ahead, chains, strict=True):
+                    found.append(self._observe_night(number, trial, chain))
+                    complete[number] = trial.n_complete
+                if all(chain.is_exact for chain in chains):
+                    break
+                robots.prepare(chains)
+            robots.accept(chains)
+            state = trial
+            logs += found
+        return logs, complete, state
+
+    def _observe_night(self, number: int, state: State, chain: Chain) -> FloatArray:
+        night = self.nights[number]
+        if night.is_engineering:
+            return np.empty((0, kernels.N_LOG))
+        pressure = self.look_ahead.pressure(number, state, self.numbers)
+        fields = make_fields(self.problem, self.ephemeris, night, self.rules, pressure)
+        sky = kernels.Night(number, night.sidereal_rad, night.level, night.moon, night.is_cloudy)
+        return observe_night(sky, fields, self.problem.visits, self.problem.targets, self.numbers, state, chain)
+
+
+def observe_night(
+    night: kernels.Night,
+    fields: kernels.Fields,
+    visits: kernels.Visits,
+    targets: kernels.Targets,
+    rules: Rules,
+    state: State,
+    chain: Chain,
+) -> FloatArray:
+    """Observe one night; gives the log of its pointings, (n, N_LOG). `state` and `chain` go on."""
+    exposed_s = visits.exposure_s[visits.exposure_s > 0.0]
+    most = int(kernels.DAY_S / exposed_s.min(initial=kernels.DAY_S)) + kernels.MAX_CUT_SHORT
+    log = np.empty((most, kernels.N_LOG))
+    course = kernels.begin_night(night, fields, rules, state)
+    while (tile := kernels.next_tile(night, fields, visits, rules, state, course)) >= 0:
+        visit = int(course.candidate[tile])
+        way = chain.configure(visit)
+        lost = np.searchsorted(targets.target_id, way.lost)
+        if kernels.point(night, fields, visits, targets, rules, state, course, tile, way.time_s, lost, log):
+            chain.go(visit)
+    return log[: course.place[kernels.N_DONE]]
 
 
 def _check_names(programmes: Sequence[Programme], settings: ScheduleSettings) -> None:
