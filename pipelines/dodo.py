@@ -35,12 +35,12 @@ def make_stages(run: Run) -> Iterator[Stage]:
     page = run.folder / "report" / "index.html"
 
     yield stage("targets", stages.select_targets, stages.catalogue_files(run), [selected, *files("rejected")])
-    yield stage("tiles", stages.place_tiles, [selected], files(*sky, "robots"))
+    yield stage("tiles", stages.place_tiles, [selected], files(*sky))
     yield stage(
         "visits",
         stages.simulate_visits,
         files(*sky),
-        files(*stages.GATHERED),
+        files("robots", *stages.GATHERED),
         is_whole=lambda: stages.are_parts_whole(run),
     )
     yield stage("schedule", stages.make_night_schedule, files(*sky, *stages.GATHERED), files(*nights))

@@ -47,7 +47,8 @@ RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of a run
 @app.command()
 def run(
     pipeline: Annotated[
-        Path, typer.Argument(metavar="PIPELINE.toml", help="Pipeline file, or the name of one that is shipped (demo).")
+        Path,
+        typer.Argument(metavar="PIPELINE.toml", help="Pipeline or scenarios, or the name of one that is shipped (demo)."),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder of the run; runs/<name> by default.")] = None,
     change: Annotated[
@@ -62,17 +63,22 @@ def run(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a whole pipeline, or what is out of date of it."""
+    """Run a whole pipeline or a file of scenarios, or what is out of date of it."""
     from survey_sim.folders import find_pipeline
     from survey_sim.survey.batches import Workers
     from survey_sim.survey.engine import plan_stages, run_stages
     from survey_sim.survey.run import open_run
+    from survey_sim.survey.sweep import is_sweep
 
     if sum([workers is not None, scheduler is not None, serial]) > 1:
         raise InputError("exclude each other", place="--workers, --scheduler, --serial", remedy="give one of them")
     n_worker = 0 if serial else workers or len(os.sched_getaffinity(0))
     console = _console(quiet)
-    opened = open_run(find_pipeline(pipeline), Workers(n_worker, scheduler), out, tuple(change or ()), console)
+    file, changes = find_pipeline(pipeline), tuple(change or ())
+    if is_sweep(file):
+        _run_scenarios(file, out, changes, Workers(n_worker, scheduler), dry_run, console)
+        return
+    opened = open_run(file, Workers(n_worker, scheduler), out, changes, console)
     if dry_run:
         for name, reasons in plan_stages(opened):
             typer.echo(f"{name}: {'; '.join(reasons) or 'up to date'}")
@@ -139,6 +145,20 @@ def catalogue_make(
     from survey_sim.folders import data_folder
 
     _echo_items(make_catalogue(card, data_folder("catalogues"), seed, out))
+
+
+def _run_scenarios(
+    file: Path, out: Path | None, changes: tuple[str, ...], workers: Any, dry_run: bool, console: Any
+) -> None:
+    from survey_sim.survey.sweep import load_sweep, plan_sweep, run_sweep
+
+    sweep = load_sweep(file, out, changes)
+    if dry_run:
+        for line in plan_sweep(sweep):
+            typer.echo(line)
+        return
+    run_sweep(sweep, workers, console)
+    console.print(f"done: [bold]{sweep.folder}[/bold]")
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ def find_pipeline(name: str | Path) -> Path:
         return path
     shipped = {file.stem: file for file in sorted(data_folder("pipelines").rglob("*.toml"))}
     stem = path.stem if path.suffix == ".toml" else path.name
-    if path.parent.name in {"", "pipelines"} and stem in shipped:
+    if path.parent.name in {"", "pipelines", "scenarios"} and stem in shipped:
         return shipped[stem]
     raise InputError("no such file", file=path, remedy=did_you_mean(stem, shipped))
 

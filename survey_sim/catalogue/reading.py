@@ -45,8 +45,10 @@ class Catalogue:
     sha256: str
 
 
-def read_catalogue(card: Card, cache_dir: Path, max_bytes: int = MAX_TABLE_BYTES) -> Catalogue:
-    """Rows of a catalogue; a mock is made first if the cache lacks it.
+def read_catalogue(
+    card: Card, cache_dir: Path, max_bytes: int = MAX_TABLE_BYTES, *, mock_seed: int | None = None
+) -> Catalogue:
+    """Rows of a catalogue; a mock is made first if the cache lacks it, with `mock_seed` instead of its card's if given.
 
     A row without a magnitude is rejected. One whose coordinates are not numbers on the sky, whose identifier is missing, or
     was used before, is an error, or rejected too if the card says `on_bad_row = "reject"`. Of the rows that share an
@@ -61,7 +63,10 @@ def read_catalogue(card: Card, cache_dir: Path, max_bytes: int = MAX_TABLE_BYTES
         path, made = card.data, None
     else:
         assert card.settings.recipe is not None
-        path, made = cached_mock(card.settings.recipe, card.name, cache_dir)
+        recipe = card.settings.recipe
+        if mock_seed is not None:
+            recipe = recipe.model_copy(update={"seed": mock_seed})
+        path, made = cached_mock(recipe, card.name, cache_dir)
     content, found = read_bytes(path, max_bytes)
     wanted = made or card.settings.sha256
     if wanted is not None and wanted != found:

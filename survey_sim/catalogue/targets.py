@@ -87,6 +87,7 @@ def make_targets(
     cache_dir: Path,
     *,
     calibration_reach_deg: float = CALIBRATION_REACH_DEG,
+    mock_seed: int | None = None,
 ) -> Targets:
     """Targets of all programmes, from their catalogues.
 
@@ -96,7 +97,9 @@ def make_targets(
         Limits science targets. Calibration rows are taken as far beyond as `calibration_reach_deg` from a science target of
         their survey: on any plate that holds one.
     seed
-        Of the sky positions; a mock's own seed stands in its card.
+        Of the sky positions.
+    mock_seed
+        Of mock catalogues; the seed in its card if None.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def make_targets(
         Two programmes of one name, or a catalogue that cannot be read.
     """
     _check_names(programmes)
-    catalogues = _read_all(programmes, catalogues_folder, cache_dir)
+    catalogues = _read_all(programmes, catalogues_folder, cache_dir, mock_seed)
     objects = _all_positions(catalogues)
     tree = cKDTree(unit_vectors(*objects.T), balanced_tree=False)
     taken: list[pl.DataFrame] = []
@@ -141,12 +144,15 @@ def _check_names(programmes: Sequence[ProgrammeSettings]) -> None:
         raise InputError(rule, place="programme.name", remedy="give each programme a name of its own")
 
 
-def _read_all(programmes: Sequence[ProgrammeSettings], folder: Path, cache_dir: Path) -> dict[str, Catalogue]:
+def _read_all(
+    programmes: Sequence[ProgrammeSettings], folder: Path, cache_dir: Path, mock_seed: int | None
+) -> dict[str, Catalogue]:
     """Each catalogue once, by what the programmes call it."""
     catalogues: dict[str, Catalogue] = {}
     for programme in programmes:
         if programme.catalogue is not None and programme.catalogue not in catalogues:
-            catalogues[programme.catalogue] = read_catalogue(load_card(programme.catalogue, folder), cache_dir)
+            card = load_card(programme.catalogue, folder)
+            catalogues[programme.catalogue] = read_catalogue(card, cache_dir, mock_seed=mock_seed)
     names = [catalogue.card.name for catalogue in catalogues.values()]
     if len(set(names)) < len(names):
         rule = f"two catalogues have the same name, among {', '.join(sorted(names))}"

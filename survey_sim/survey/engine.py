@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import runpy
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -21,6 +21,7 @@ from doit.task import Task, dict_to_task
 
 from survey_sim.folders import data_folder
 from survey_sim.survey.run import Run
+from survey_sim.survey.store import Store
 
 
 class Unchanged:
@@ -95,35 +96,66 @@ class Stage:
         )
 
 
-def run_stages(run: Run) -> None:
+def run_stages(run: Run, store: Store | None = None, skipped: Collection[str] = ()) -> None:
     """Run every stage that is out of date, in order, and note its time in run.json.
 
     run.json is begun after the first stage, which reads all input: bad input leaves nothing behind.
+
+    Parameters
+    ----------
+    store
+        Where runs share what their stages make; none by default.
+    skipped
+        Names of stages that are not wanted.
     """
-    for number, stage in enumerate(load_stages(run)):
+    for number, stage in enumerate(stage for stage in load_stages(run) if stage.name not in skipped):
         reasons, task = _status(run, stage)
-        if reasons:
+        if not reasons:
+            run.console.print(f"[dim]{stage.name}: up to date[/dim]")
+        elif store is None:
             run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
             _execute(run, stage, task)
         else:
-            run.console.print(f"[dim]{stage.name}: up to date[/dim]")
+            _share(run, stage, task, store, reasons)
         if number == 0:
             run.record_settings()
 
 
 def _execute(run: Run, stage: Stage, task: Task) -> None:
+    _act(run, stage)
+    _remember(run, task)
+
+
+def _act(run: Run, stage: Stage) -> None:
     with run.timed(stage.name) as spent:
         elsewhere = stage.action(run) or {}
         spent["cpu_s"] += elsewhere.get("cpu_s", 0.0)
+
+
+def _remember(run: Run, task: Task) -> None:
     task.save_extra_values()
     with _memory(run) as memory:
         memory.save_success(task)
 
 
-def plan_stages(run: Run) -> Iterator[tuple[str, list[str]]]:
+def _share(run: Run, stage: Stage, task: Task, store: Store, reasons: list[str]) -> None:
+    """Take from the store what another run's stage made, or run the stage and keep what it makes there."""
+    place = store.place(run, stage)
+    with store.alone(place):
+        taken = store.fetch(run, stage, place)
+        if taken is None:
+            run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
+            with store.keep(run, stage, place):
+                _act(run, stage)
+        else:
+            run.console.print(f"[dim]{stage.name}: as in {taken}[/dim]")
+    _remember(run, task)
+
+
+def plan_stages(run: Run, skipped: Collection[str] = ()) -> Iterator[tuple[str, list[str]]]:
     """Name of every stage with the reasons why it would run; none if it is up to date. Nothing is written."""
     remade: set[Path] = set()
-    for stage in load_stages(run):
+    for stage in (stage for stage in load_stages(run) if stage.name not in skipped):
         reasons = _status(run, stage)[0] if run.state.is_dir() else ["never run"]
         waits_for = remade & set(stage.needs)
         if waits_for:

@@ -34,6 +34,10 @@ class Run:
         Where its tables go.
     pipeline
         The TOML file that it was read from; files that it names are looked for beside it.
+    scenario
+        For a run of a sweep: `sweep`, `scenario`, `seed` and `changes`, as run.json has them.
+    noted
+        What `record` was given since it was last cleared.
     """
 
     folder: Path
@@ -41,6 +45,8 @@ class Run:
     settings: PipelineSettings
     workers: Workers
     console: Console = field(default_factory=lambda: Console(stderr=True, quiet=True))
+    scenario: Mapping[str, Any] = field(default_factory=dict)
+    noted: dict[str, Any] = field(default_factory=dict, compare=False)
 
     @property
     def state(self) -> Path:
@@ -89,7 +95,8 @@ class Run:
         path = self.folder / "run.json"
         known = tables.read_record(self.folder) if path.is_file() else {}
         for key, value in entries.items():
-            known[key] = {**known.get(key, {}), **value} if isinstance(value, Mapping) else value
+            for record in (known, self.noted):
+                record[key] = {**record.get(key, {}), **value} if isinstance(value, Mapping) else value
         tables.write_bytes((json.dumps(known, indent=2, sort_keys=True) + "\n").encode(), path)
 
     def record_settings(self) -> None:
@@ -105,9 +112,10 @@ class Run:
             "seed": self.settings.run.seed,
             "settings": settings,
             "instrument": self.instrument.model_dump(mode="json"),
+            **({"scenario": dict(self.scenario)} if self.scenario else {}),
             **kept,
         }
-        tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True) + "\n").encode(), path)
+        tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True, default=str) + "\n").encode(), path)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[dict[str, float]]:
@@ -126,13 +134,24 @@ def open_run(
     out: Path | None = None,
     changes: tuple[str, ...] = (),
     console: Console | None = None,
+    *,
+    values_set: Mapping[str, Any] | None = None,
+    scenario: Mapping[str, Any] | None = None,
 ) -> Run:
-    """A run of a pipeline file, its settings checked; nothing is written yet."""
-    settings = load_pipeline(pipeline, changes)
+    """A run of a pipeline file, its settings checked; nothing is written yet.
+
+    Parameters
+    ----------
+    changes, values_set
+        Settings that differ from the file's: as `section.key=value`, and by `section.key` (`load_pipeline`).
+    scenario
+        Of a run of a sweep (`Run.scenario`).
+    """
+    settings = load_pipeline(pipeline, changes, values_set)
     folder = out if out is not None else Path("runs") / settings.run.name
     if folder.exists() and not folder.is_dir():
         raise InputError("is a file, not a folder", file=folder, remedy="choose another --out")
-    return Run(folder, pipeline, settings, workers, console or Console(stderr=True, quiet=True))
+    return Run(folder, pipeline, settings, workers, console or Console(stderr=True, quiet=True), scenario or {})
 
 
 def code_digest(*rooms: str) -> str:

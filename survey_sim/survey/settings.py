@@ -6,7 +6,9 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
+from zlib import crc32
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from survey_sim.allocation import AllocationSettings
@@ -20,11 +22,13 @@ from survey_sim.tiling import TilingSettings
 
 
 class RunSettings(Settings):
-    """`[run]`: what the run is called, and the seed of all its random streams."""
+    """`[run]`: what the run is called, and the seeds of all its random streams."""
 
     # Also the name of its folder under runs/; the TOML file's own name by default.
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     seed: int = Field(1, ge=0)
+    # Of mock catalogues; absent: the seed in a mock's card.
+    mock_seed: int | None = Field(None, ge=0, lt=2**63)
 
 
 class InstrumentChoice(Settings):
@@ -34,6 +38,8 @@ class InstrumentChoice(Settings):
     overrides: dict[str, Any] = Field(default_factory=dict)
     # Ids of robots that never move; they stand at their park positions.
     dead_robots: tuple[int, ...] = ()
+    # Share of the science robots that are dead besides, drawn by the seed: those of a smaller share are of a larger too.
+    dead_frac: float = Field(0.0, ge=0, le=1)
 
     @model_validator(mode="before")
     @classmethod
@@ -134,11 +140,22 @@ class PipelineSettings(Settings):
 
     def plate(self, folder: Path) -> Plate:
         """The robots of the run."""
-        return make_plate(self.instrument.load(folder), self.instrument.dead_robots)
+        instrument = self.instrument.load(folder)
+        plate = make_plate(instrument, self.instrument.dead_robots)
+        if not self.instrument.dead_frac:
+            return plate
+        science = np.random.default_rng([self.run.seed, crc32(b"dead")]).permutation(plate.robot_id[~plate.is_guide])
+        drawn = science[: round(self.instrument.dead_frac * len(science))]
+        return make_plate(instrument, {*self.instrument.dead_robots, *drawn.tolist()})
 
 
-def load_pipeline(path: Path, changes: Sequence[str] = ()) -> PipelineSettings:
+def load_pipeline(path: Path, changes: Sequence[str] = (), values_set: Mapping[str, Any] | None = None) -> PipelineSettings:
     """Settings of a pipeline's TOML file, with changes `section.key=value` (values as TOML writes them).
+
+    Parameters
+    ----------
+    values_set
+        Values by `section.key`, set before the changes.
 
     Raises
     ------
@@ -147,6 +164,8 @@ def load_pipeline(path: Path, changes: Sequence[str] = ()) -> PipelineSettings:
     """
     values = read_toml(path)
     values.setdefault("run", {}).setdefault("name", path.stem)
+    for key, value in (values_set or {}).items():
+        _set(values, key, value, place="set")
     for change in changes:
         _apply(values, change)
     _place_catalogues(values, path.parent)
@@ -166,24 +185,32 @@ def _place_catalogues(values: dict[str, Any], folder: Path) -> None:
 
 def _apply(values: dict[str, Any], change: str) -> None:
     key, equals, text = change.partition("=")
-    sections, name = key.strip().split(".")[:-1], key.strip().split(".")[-1]
-    if not equals or not sections:
+    if not equals or "." not in key:
         raise InputError(f"cannot read {change!r}", place="--set", remedy="write --set section.key=value")
-    place: Any = values
+    _set(values, key.strip(), _value(text.strip()), place="--set")
+
+
+def _set(values: dict[str, Any], key: str, value: Any, place: str) -> None:
+    """Set the value that stands at `section.key`; `place` is where the user wrote it."""
+    *sections, name = key.split(".")
+    found: Any = values
     for section in sections:
-        place = _named(place, section, change) if isinstance(place, list) else place.setdefault(section, {})
-    if not isinstance(place, dict):
-        raise InputError(f"{change!r} does not name a key of a section", place="--set", remedy="write section.key=value")
-    place[name] = _value(text.strip())
+        if isinstance(found, list):
+            found = _named(found, section, key, place)
+        elif isinstance(found, dict):
+            found = found.setdefault(section, {})
+    if not isinstance(found, dict) or not sections:
+        raise InputError(f"{key!r} does not name a key of a section", place=place, remedy="write section.key=value")
+    found[name] = value
 
 
-def _named(entries: list[Mapping[str, Any]], name: str, change: str) -> Mapping[str, Any]:
+def _named(entries: list[Mapping[str, Any]], name: str, key: str, place: str) -> Mapping[str, Any]:
     """The entry of `[[programme]]` with this name."""
     for entry in entries:
         if entry.get("name") == name:
             return entry
     known = [str(entry.get("name")) for entry in entries]
-    raise InputError(f"{change!r}: no entry is named {name!r}", place="--set", remedy=did_you_mean(name, known))
+    raise InputError(f"{key!r}: no entry is named {name!r}", place=place, remedy=did_you_mean(name, known))
 
 
 def _value(text: str) -> Any:

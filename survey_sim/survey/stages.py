@@ -29,6 +29,8 @@ STAGE_ROOMS = {
     "schedule": ("schedule",),
     "report": ("plotting", "player", "survey/report"),
 }
+# What a programme says that does not change which targets it has.
+_NOT_OF_TARGETS = ("exposure_s", "completeness_frac")
 # Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
 GATHERED = tuple(table for table in TILE_TABLES if not TABLES[table].is_in_parts)
 
@@ -43,6 +45,7 @@ def select_targets(run: Run) -> None:
         data_folder("catalogues"),
         cache_folder(),
         calibration_reach_deg=2.0 * run.instrument.field_radius_deg,
+        mock_seed=run.settings.run.mock_seed,
     )
     tables.write(made.targets, "targets", selected_path(run))
     tables.write(made.rejected, "rejected", run.table("rejected"))
@@ -51,24 +54,24 @@ def select_targets(run: Run) -> None:
 
 
 def place_tiles(run: Run) -> None:
-    """Selected targets -> tiles, targets with their home tiles, robots."""
+    """Selected targets -> tiles, targets with their home tiles."""
     from survey_sim.tiling import make_tiles  # noqa: PLC0415
 
     selected = pl.read_parquet(selected_path(run))
     tiles, targets = make_tiles(selected, run.settings.tiling, run.instrument.field_radius_deg)
     tables.write(targets, "targets", run.table("targets"))
     tables.write(tiles, "tiles", run.table("tiles"))
-    robots = pl.concat([robots_table(run.plate, survey) for survey in run.settings.surveys])
-    tables.write(robots, "robots", run.table("robots"))
 
 
 def simulate_visits(run: Run) -> dict[str, float]:
-    """Tiles -> visits, allocations, paths, legs, robot times; a part for each batch, those already whole are kept.
+    """Tiles -> robots, visits, allocations, paths, legs, robot times; a part for each batch, those whole are kept.
 
     Returns
     -------
         CPU seconds that other processes spent on the batches done now.
     """
+    robots = pl.concat([robots_table(run.plate, survey) for survey in run.settings.surveys])
+    tables.write(robots, "robots", run.table("robots"))
     batches = make_batches(run)
     names = {batch.name for batch in batches}
     _drop_stale_parts(run, names)
@@ -113,21 +116,26 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
     sections: dict[str, dict[str, Any]] = {
         "targets": {
             "seed": dump["run"]["seed"],
-            "programme": dump["programme"],
+            "mock_seed": dump["run"]["mock_seed"],
+            "programme": [{key: p[key] for key in p if key not in _NOT_OF_TARGETS} for p in dump["programme"]],
             "region": dump["tiling"]["region"],
             "field_radius_deg": run.instrument.field_radius_deg,
         },
-        "tiles": {"tiling": dump["tiling"], "instrument": instrument, "dead_robots": dump["instrument"]["dead_robots"]},
+        "tiles": {"tiling": dump["tiling"], "field_radius_deg": run.instrument.field_radius_deg},
         "visits": {
             "seed": dump["run"]["seed"],
             "instrument": instrument,
-            "dead_robots": dump["instrument"]["dead_robots"],
+            "dead_robots": run.plate.robot_id[~run.plate.is_live].tolist(),
             "allocation": dump["allocation"],
             "routing": dump["routing"],
-            "wanted": {p["name"]: p["completeness_frac"] for p in dump["programme"]},
+            "wanted": {p.name: p.completeness_frac for p in run.settings.science},
             "tiles_per_part": dump["output"]["tiles_per_part"],
         },
-        "schedule": {"seed": dump["run"]["seed"], "schedule": dump["schedule"], "programme": dump["programme"]},
+        "schedule": {
+            "seed": dump["run"]["seed"],
+            "schedule": dump["schedule"],
+            "programme": [(p.name, p.survey, p.exposure_s, p.completeness_frac) for p in run.settings.science],
+        },
         "report": {"report": dump["report"], "name": dump["run"]["name"]},
     }
     return sections[stage]
