@@ -36,6 +36,7 @@ _SUMMARY_HEADS = {
     **{f"n_{kind}": kind for kind in ("science", "standard", "sky", "guide")},
     "travel_mean_mm": "mean_mm",
     "travel_max_mm": "max_mm",
+    "crossings": "crossings",
     "completeness_frac": "complete",
 }
 
@@ -86,7 +87,7 @@ def allocate(
         seed=seed,
     )
     console = _console(quiet)
-    console.print(_table(made.summary.rename(_SUMMARY_HEADS)))
+    console.print(_table(made.visits.select(*_SUMMARY_HEADS).rename(_SUMMARY_HEADS)))
     if made.n_off_plate:
         console.print(f"[yellow]warning:[/yellow] {made.n_off_plate} targets lie outside the plate")
     console.print(f"{len(made.files)} allocation files: [bold]{made.files[0].parent}[/bold]")

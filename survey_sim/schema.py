@@ -4,7 +4,7 @@ Writers, readers, VOParquet metadata and the docs page of the data model are all
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import polars as pl
 
@@ -97,8 +97,16 @@ _COLLISIONS = Column("collisions", INT32, "", "meta.number", "pairs of robots ne
 _UNROUTED = Column("unrouted", INT32, "", "meta.number", "robots that the router had to leave where they stood")
 
 
-def _count(name: str, what: str) -> Column:
-    return Column(name, INT32, "", "meta.number", what)
+def _count(name: str, what: str, *, is_nullable: bool = False) -> Column:
+    return Column(name, INT32, "", "meta.number", what, is_nullable)
+
+
+def _shortfall(name: str, what: str) -> Column:
+    return _count(f"{name}_shortfall", f"{what} fewer than the least acceptable; null: that is not known", is_nullable=True)
+
+
+def _once_routed(column: Column) -> Column:
+    return replace(column, description=f"{column.description}; null: not routed yet", is_nullable=True)
 
 
 def _frac(name: str, what: str, *, is_nullable: bool = False) -> Column:
@@ -195,6 +203,10 @@ _TABLES = (
             _count("n_sky", "robots that reached a sky position"),
             _count("n_guide", "guide robots that reached a guide star"),
             _count("n_idle", "live robots with no target"),
+            _shortfall("standard", "standard stars"),
+            _shortfall("sky", "sky positions"),
+            _shortfall("guide", "guide stars"),
+            _shortfall("sky_region", "sky positions, summed over equal sectors of the plate,"),
             _frac("completeness_frac", "science targets of the tile with all wanted visits, after this visit"),
             _frac("ideal_completeness_frac", "the same for an ideal positioner (no separation, unbounded reach)"),
             _frac(
@@ -206,11 +218,7 @@ _TABLES = (
             Column("travel_p95_mm", FLOAT, "mm", "phys.size", "95 % of the robots that travel go no further"),
             Column("travel_max_mm", FLOAT, "mm", "phys.size;stat.max", "largest straight distance"),
             _count("crossings", "pairs of straight segments, start to target, that intersect"),
-            _COLLISIONS,
-            _UNROUTED,
-            _TICKS,
-            *_CONFIGURATION,
-            _LOWER_BOUND,
+            *(_once_routed(column) for column in (_COLLISIONS, _UNROUTED, _TICKS, *_CONFIGURATION, _LOWER_BOUND)),
         ),
         key=_VISIT_KEY,
         order=_VISIT_KEY,

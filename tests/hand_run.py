@@ -8,6 +8,7 @@ import json
 from math import asin, atan2, ceil, cos, degrees, hypot, radians, sin
 from pathlib import Path
 from statistics import mean, median
+from typing import Any
 
 import polars as pl
 
@@ -48,6 +49,7 @@ HELD = {
     (1, 1): {1: 11, 2: 12, 5: 13},
 }
 KINDS = {2: "sky", 4: "guide", 6: "standard", 7: "guide", 10: "standard", 13: "guide"}
+MINIMA = {"min_standard": 1, "min_sky": 2, "min_guide": 1, "min_sky_region": 1, "sky_regions": 4}
 UNROUTED = {(1, 1): {4: "no-path"}}
 # Targets that nobody reaches: one of tile 0; the others want more visits than they get.
 UNREACHED = 14
@@ -275,8 +277,16 @@ def _add_visit(
         | {"completeness_frac": completeness, "ideal_completeness_frac": 1.0, "completeness_bound_frac": 1.0}
         | {"travel_mean_mm": mean(going), "travel_p95_mm": rank(going), "travel_max_mm": max(going)}
         | {"crossings": n_crossing}
+        | _shortfalls(held)
         | {name: path[name] for name in shared}
     )
+
+
+def _shortfalls(held: list[dict]) -> dict[str, int]:
+    """What a visit lacks of `MINIMA`; a sky position is held in tile 0, visit 0 alone, in the first quarter."""
+    kinds = [target["kind"] for target in held]
+    lack = {f"{kind}_shortfall": max(0, MINIMA[f"min_{kind}"] - kinds.count(kind)) for kind in ("standard", "sky", "guide")}
+    return lack | {"sky_region_shortfall": MINIMA["sky_regions"] - min(1, kinds.count("sky"))}
 
 
 def _add_schedule(rows: dict[str, list[dict]], targets: list[dict]) -> None:
@@ -322,10 +332,16 @@ def _add_schedule(rows: dict[str, list[dict]], targets: list[dict]) -> None:
             rows["unallocated"].append(own | {"n_allocated": allocated[t], "reason": "out-of-reach"})
 
 
+def write_record(folder: Path, **more: Any) -> None:
+    """Write run.json; settings and other entries besides the usual."""
+    settings = {"allocation": MINIMA, **more.pop("settings", {})}
+    (folder / "run.json").write_text(json.dumps({"instrument": INSTRUMENT, "settings": settings, **more}))
+
+
 def write_run(folder: Path, made: dict[str, pl.DataFrame]) -> Path:
     """Write the tables, the three large ones in a part a tile."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "run.json").write_text(json.dumps({"instrument": INSTRUMENT, "settings": {}}))
+    write_record(folder)
     for table, frame in made.items():
         if not TABLES[table].is_in_parts:
             tables.write(frame, table, folder / f"{table}.parquet")

@@ -169,6 +169,7 @@ def _visit_tables(
                     "mag_faint": 11.0,
                     **{f"n_{kind}": 3 for kind in KINDS},
                     "n_idle": 2,
+                    **{f"{name}_shortfall": 0 for name in (*KINDS[1:], "sky_region")},
                     "completeness_frac": done,
                     "ideal_completeness_frac": min(1.0, done + 0.2),
                     "completeness_bound_frac": min(1.0, done + 0.1),

@@ -116,7 +116,7 @@ def test_each_visit_has_its_guides_standards_and_sky():
         assert visit.counts["science"] == 120
         assert visit.counts["standard"] >= 5
         assert visit.counts["sky"] >= 10
-        assert visit.sky_region_shortfall == 0
+        assert visit.shortfall["sky_region"] == 0
 
 
 def test_guides_change_so_that_what_they_cover_is_reached():

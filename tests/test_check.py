@@ -649,6 +649,7 @@ def test_planted_fault_is_found(
 
 
 _ONE_UP = {"n_science": 1, "n_standard": 1, "n_sky": 1, "n_guide": 1, "n_idle": 1, "crossings": 1, "collisions": 1}
+_ONE_UP |= {f"{name}_shortfall": 1 for name in ("standard", "sky", "guide", "sky_region")}
 _ONE_UP |= {"unrouted": 1, "ticks": 1, "completeness_frac": -0.1, "mag_bright": 0.1, "mag_faint": 0.1}
 _ONE_UP |= dict.fromkeys(("travel_mean_mm", "travel_p95_mm", "travel_max_mm"), 1e-4)
 _ONE_UP |= dict.fromkeys(("configuration_time_s", "configuration_time_p95_s", "lower_bound_s"), 1e-4)
@@ -750,7 +751,7 @@ class TestStartPositions:
     @staticmethod
     def set_start(run_dir: Path, position_mm: list, theta_deg: list) -> None:
         start = {"file": "positions.xml", "position_mm": position_mm, "theta_deg": theta_deg}
-        (run_dir / "run.json").write_text(json.dumps({"instrument": hand_run.INSTRUMENT, "start_positions": start}))
+        hand_run.write_record(run_dir, start_positions=start)
 
     def test_legs_begin_there(self, tmp_path: Path) -> None:
         first = {robot: (x + 1.0, y - 2.0, 15.0 * robot) for robot, (x, y) in hand_run.PARK.items()}
@@ -794,7 +795,9 @@ def test_no_run_at_all(tmp_path: Path) -> None:
 
 def test_constant_configuration_time(run_dir: Path) -> None:
     settings = {"schedule": {"configuration_s": 300.0}}
-    (run_dir / "run.json").write_text(json.dumps({"instrument": hand_run.INSTRUMENT, "settings": settings}))
+    (run_dir / "run.json").write_text(
+        json.dumps({"instrument": hand_run.INSTRUMENT, "settings": {**settings, "allocation": hand_run.MINIMA}})
+    )
     assert check_run(run_dir).n_faults == {"exposures": 5}
     rewrite(run_dir, "exposures", replaced({}, configuration_time_s=300.0))
     assert check_run(run_dir).is_passed
@@ -806,7 +809,9 @@ class TestTargetsThatMayFail:
     @pytest.fixture
     def uncertain(self, run_dir: Path) -> Path:
         settings = {"schedule": {"success_frac": {"case": 0.8}}}
-        (run_dir / "run.json").write_text(json.dumps({"instrument": hand_run.INSTRUMENT, "settings": settings}))
+        (run_dir / "run.json").write_text(
+            json.dumps({"instrument": hand_run.INSTRUMENT, "settings": {**settings, "allocation": hand_run.MINIMA}})
+        )
         return run_dir
 
     @pytest.fixture

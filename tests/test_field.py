@@ -84,6 +84,30 @@ class TestChain:
             assert tables.read(field, name).height, name
         assert tables.read(field, "visits")["visit_id"].to_list() == [0, 1, 2]
 
+    def test_what_allocation_alone_knows(self, field: Path, instrument: Path, tmp_path: Path) -> None:
+        allocate_field(
+            field.parent / "targets.csv", tmp_path / "run", instrument=instrument, algorithm="cda-advanced", visits=N_VISIT,
+            dead=(4,),
+        )  # fmt: skip
+        before, after = tables.read(tmp_path / "run", "visits"), tables.read(field, "visits")
+        unknown = ["collisions", "unrouted", "ticks", "configuration_time_s", "configuration_time_p95_s", "lower_bound_s"]
+        assert before.select(unknown).null_count().row(0) == (N_VISIT,) * len(unknown)
+        assert (
+            after.null_count().sum_horizontal()[0]
+            == after.select("mag_bright", "mag_faint").null_count().sum_horizontal()[0]
+        )
+        if after["unrouted"].sum() == 0:
+            assert_frame_equal(before.drop(unknown), after.drop(unknown))
+
+    def test_what_the_router_lost_is_named(self, field: Path) -> None:
+        held = tables.read(field, "allocations").filter(kind="science").group_by("target_id").len("n")
+        science = tables.read(field, "targets").filter(kind="science").join(held, on="target_id", how="left")
+        lost = science.filter(pl.col("n").fill_null(0) < pl.col("wanted_visits"))
+        given = tables.read(field, "unallocated")
+        assert sorted(given["target_id"]) == sorted(lost["target_id"])
+        n_unrouted = tables.read(field, "visits")["unrouted"].sum()
+        assert given.filter(reason="unrouted").height <= n_unrouted
+
     def test_robots_end_where_allocated(self, field: Path) -> None:
         held = tables.read(field, "allocations").drop_nulls("target_id")
         targets = pl.read_csv(field.parent / "targets.csv")

@@ -7,6 +7,7 @@ stand, and its `record` takes what the router could bring about.
 from survey_sim.allocation.bound import completeness_bound
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels import crossings
+from survey_sim.allocation.minima import Minima
 from survey_sim.allocation.session import Session, VisitAllocation, start_allocation
 from survey_sim.allocation.settings import ALGORITHMS, AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets
@@ -16,6 +17,7 @@ __all__ = [
     "AllocationSettings",
     "FieldTargets",
     "LostReason",
+    "Minima",
     "Session",
     "VisitAllocation",
     "completeness_bound",

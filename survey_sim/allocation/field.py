@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.allocation.kernels import near_lists, reach_lists
+from survey_sim.allocation.minima import Minima, sectors
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTargets, FloatArray, IntArray
 from survey_sim.instrument import Plate
@@ -36,6 +37,7 @@ class Field:
     targets: FieldTargets
     plate: Plate
     settings: AllocationSettings
+    minima: Minima
     xy_mm: FloatArray
     is_on_plate: BoolArray
     value: FloatArray
@@ -58,6 +60,11 @@ class Field:
         """(n_target,) sum of `worth` (n_target,) over the targets near each target."""
         total = np.add.reduceat(np.append(worth[self.near], 0.0), self.near_first[:-1])
         return np.where(np.diff(self.near_first) > 0, total, 0.0)
+
+    def shortfall(self, held: IntArray) -> dict[str, int]:
+        """By how much (n_robot,) held targets, -1 for none, fall short of the visit's minima."""
+        target = held[held >= 0]
+        return self.minima.shortfall(self.targets.kind[target], self.targets.x_mm[target], self.targets.y_mm[target])
 
     def near_any(self, target: IntArray) -> BoolArray:
         """(n_target,) targets that are one of those given, or too close to one."""
@@ -107,17 +114,16 @@ def make_field(targets: FieldTargets, plate: Plate, settings: AllocationSettings
     first, near = near_lists(targets.x_mm, targets.y_mm, plate.instrument.min_separation_mm)
     reach = plate.patrol_radius_mm * np.where(plate.is_live, 1.0, np.nan)
     reach_first, reach_robot = reach_lists(plate.park_mm, reach, plate.is_guide, xy, targets.kind == GUIDE, is_on_plate)
-    turn = (np.arctan2(targets.y_mm, targets.x_mm) / (2.0 * np.pi)) % 1.0
-    sector = np.minimum((turn * settings.sky_regions).astype(np.int64), settings.sky_regions - 1)
     low, high = PRIORITY_RANGE
     return Field(
         targets=targets,
         plate=plate,
         settings=settings,
+        minima=Minima.of(settings, plate),
         xy_mm=xy,
         is_on_plate=is_on_plate,
         value=1.0 + settings.priority_gain * (targets.priority - low) / (high - low),
-        sector=np.where(targets.kind == SKY, sector, -1),
+        sector=np.where(targets.kind == SKY, sectors(targets.x_mm, targets.y_mm, settings.sky_regions), -1),
         near_first=first,
         near=near,
         reach_first=reach_first,

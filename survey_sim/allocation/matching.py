@@ -60,7 +60,7 @@ def pick_calibration(field: Field, is_open: BoolArray, start_mm: FloatArray) -> 
     is_needed, is_picked
         (n_target,) the least acceptable numbers, with all guides; as many standards and sky as are wanted.
     """
-    settings, kind = field.settings, field.targets.kind
+    settings, minima, kind = field.settings, field.minima, field.targets.kind
     displaced = field.sum_near(np.where(is_open & field.targets.is_science, field.value, 0.0))
     is_served = is_open & (np.diff(field.reach_first) > 0)
     is_picked = np.zeros(field.targets.n_target, dtype=bool)
@@ -72,13 +72,11 @@ def pick_calibration(field: Field, is_open: BoolArray, start_mm: FloatArray) -> 
         candidates = candidates[np.lexsort((nearest, displaced[candidates]))]
         return pick_apart(candidates, limit, field.near_first, field.near, is_open, is_picked)
 
-    pick(kind == STANDARD, min(settings.min_standard, settings.wanted_standard))
-    n_sky = 0
-    for region in range(settings.sky_regions):
-        n_sky += pick(field.sector == region, min(settings.min_sky_region, settings.wanted_sky - n_sky))
-    n_sky += pick(kind == SKY, min(settings.min_sky, settings.wanted_sky) - n_sky)
+    pick(kind == STANDARD, minima.min_standard)
+    n_sky = sum(pick(field.sector == region, minima.min_sky_region) for region in range(minima.sky_regions))
+    n_sky += pick(kind == SKY, minima.min_sky - n_sky)
     is_needed = is_picked | (kind == GUIDE)
-    pick(kind == STANDARD, settings.wanted_standard - min(settings.min_standard, settings.wanted_standard))
+    pick(kind == STANDARD, settings.wanted_standard - minima.min_standard)
     pick(kind == SKY, settings.wanted_sky - n_sky)
     return is_needed, is_picked
 
@@ -88,7 +86,7 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
 
     Guides beyond those wanted are let go.
     """
-    settings, kind = field.settings, field.targets.kind
+    settings, minima, kind = field.settings, field.minima, field.targets.kind
     travel = np.hypot(*(field.xy_mm[held] - request.start_mm).T)
     guides = np.flatnonzero((held >= 0) & (kind[held] == GUIDE))
     extra = guides[np.argsort(travel[guides], kind="stable")][settings.wanted_guide :]
@@ -111,7 +109,7 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
     take(kind[pair_target] == STANDARD, settings.wanted_standard - int((kind[held[held >= 0]] == STANDARD).sum()))
     n_missing = settings.wanted_sky - sky_by_region(field, held).sum()
     for region, n in enumerate(sky_by_region(field, held)):
-        take(field.sector[pair_target] == region, min(n_missing, settings.min_sky_region - n))
+        take(field.sector[pair_target] == region, min(n_missing, minima.min_sky_region - n))
         n_missing = settings.wanted_sky - sky_by_region(field, held).sum()
     take(kind[pair_target] == SKY, n_missing)
     if (held >= 0).sum() == n_held:
@@ -129,11 +127,5 @@ def sky_by_region(field: Field, held: IntArray) -> IntArray:
 
 def lacks_calibration(field: Field, held: IntArray) -> bool:
     """Whether a visit holds fewer standards or sky than the least acceptable number, in all or in a region."""
-    settings = field.settings
-    in_region = sky_by_region(field, held)
-    n_standard = (field.targets.kind[held[held >= 0]] == STANDARD).sum()
-    return bool(
-        n_standard < min(settings.min_standard, settings.wanted_standard)
-        or in_region.sum() < min(settings.min_sky, settings.wanted_sky)
-        or (in_region < settings.min_sky_region).any()
-    )
+    short = field.shortfall(held)
+    return bool(short["standard"] or short["sky"] or short["sky_region"])

@@ -44,7 +44,7 @@ class Planner:
             return np.full(field.plate.n_robot, -1, dtype=np.int64)
         now, self._is_planned = self._is_planned[:, 0], self._is_planned[:, 1:]
         is_guide = field.targets.kind == GUIDE
-        has_guides = (now & is_guide).sum() >= min(field.settings.min_guide, field.settings.wanted_guide)
+        has_guides = (now & is_guide).sum() >= field.minima.min_guide
         is_planned = request.is_open & (now | (is_guide & (not has_guides)))
         value = np.where(is_guide, NEEDED_VALUE, field.value)
         held = fill_calibration(field, request, match(field, request.start_mm, is_planned, request.is_pair_open, value))

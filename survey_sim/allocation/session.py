@@ -11,7 +11,7 @@ from survey_sim.allocation.closest import choose_advanced, choose_basic
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle
-from survey_sim.allocation.matching import choose_matching, sky_by_region
+from survey_sim.allocation.matching import choose_matching
 from survey_sim.allocation.planning import Planner
 from survey_sim.allocation.settings import AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
@@ -46,10 +46,11 @@ class VisitAllocation:
         Where the robots set out: their previous ends, or their park positions.
     travel_mm
         (n_robot,) straight distance from there, mm.
-    counts, shortfall
-        By kind: fibres that hold it; how many fewer than the least acceptable number.
-    sky_region_shortfall
-        Sky fibres that plate regions lack, summed over regions.
+    counts
+        By kind: fibres that hold it.
+    shortfall
+        How many fewer `standard`, `sky` and `guide` fibres than the least acceptable number; `sky_region`: sky fibres that
+        plate regions lack, summed over regions.
     crossings
         Pairs of straight ways that meet.
     """
@@ -61,7 +62,6 @@ class VisitAllocation:
     travel_mm: FloatArray
     counts: dict[str, int]
     shortfall: dict[str, int]
-    sky_region_shortfall: int
     crossings: int
 
 
@@ -224,11 +224,9 @@ def start_allocation(
 def _make_visit(
     field: Field, visit_id: int, held: IntArray, *, start: Start, start_mm: FloatArray, goal_mm: FloatArray
 ) -> VisitAllocation:
-    settings = field.settings
     target = held[held >= 0]
     number = np.bincount(field.targets.kind[target], minlength=len(TARGET_KINDS))
     counts = {kind: int(number[code]) for code, kind in enumerate(TARGET_KINDS)}
-    least = {"science": 0, "standard": settings.min_standard, "sky": settings.min_sky, "guide": settings.min_guide}
     return VisitAllocation(
         visit_id=visit_id,
         target=held,
@@ -236,8 +234,7 @@ def _make_visit(
         start=start,
         travel_mm=np.hypot(*(goal_mm - start_mm).T),
         counts=counts,
-        shortfall={kind: max(0, least[kind] - n) for kind, n in counts.items()},
-        sky_region_shortfall=int(np.maximum(0, settings.min_sky_region - sky_by_region(field, held)).sum()),
+        shortfall=field.shortfall(held),
         crossings=int(crossings(start_mm, goal_mm)),
     )
 

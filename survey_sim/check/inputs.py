@@ -11,6 +11,7 @@ import polars as pl
 
 from survey_sim import tables
 from survey_sim.check.faults import Fault, FaultLog
+from survey_sim.check.minima import read_minima
 from survey_sim.check.relations import check_small, check_table
 from survey_sim.errors import InputError
 
@@ -69,6 +70,8 @@ class Run:
         With the state in which a tile's first visit finds it: `first_x_mm`, `first_y_mm`, `first_theta_deg`.
     schedule
         Settings of the schedule.
+    minima
+        As `read_minima` gives them.
     """
 
     constants: Constants
@@ -79,6 +82,7 @@ class Run:
     paths: pl.DataFrame
     optional: dict[str, pl.DataFrame]
     schedule: ScheduleRules
+    minima: pl.DataFrame
     target_ids: npt.NDArray[np.int64]
 
 
@@ -103,6 +107,7 @@ def read_run(run_dir: Path, log: FaultLog) -> Run | None:
     try:
         robots = _with_first_state(sound["robots"], record.get("start_positions"))
         schedule = _read_schedule(record)
+        minima = read_minima(record, robots)
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, pl.exceptions.PolarsError) as failure:
         log.add_one(Fault("schema", RECORD, detail=f"not as a run writes it: {type(failure).__name__} {failure}"))
         return None
@@ -120,6 +125,7 @@ def read_run(run_dir: Path, log: FaultLog) -> Run | None:
         paths=paths,
         optional={table: frame for table, frame in sound.items() if table in OPTIONAL},
         schedule=schedule,
+        minima=minima,
         target_ids=targets["target_id"].to_numpy(),
     )
 

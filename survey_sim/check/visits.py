@@ -6,6 +6,7 @@ import polars as pl
 from survey_sim.check.faults import FaultLog
 from survey_sim.check.inputs import Run
 from survey_sim.check.kernels import count_crossings
+from survey_sim.check.minima import KINDS, shortfalls
 from survey_sim.check.part import START_TO_TARGET, Part
 from survey_sim.check.relations import TILE
 from survey_sim.check.routes import POSITION_MM, rank_95
@@ -30,9 +31,11 @@ def check_visits(log: FaultLog, part: Part, run: Run, held: pl.DataFrame) -> Non
     own = rows.group_by("visit_row", maintain_order=True).agg(**_row_figures())
     own = own.with_columns(own_crossings=pl.Series(_crossings(part)).cast(pl.Int32))
     visits = here.join(own, on="visit_row", how="left", maintain_order="left")
+    visits = visits.join(shortfalls(rows, run.minima), on="visit_row", how="left", maintain_order="left")
     visits = visits.join(_magnitudes(held), on="visit_row", how="left", maintain_order="left")
     visits = visits.with_columns(_completeness(here, held, run))
     columns = {f"n_{name}": 0.0 for name in (*TARGET_KINDS, "idle")}
+    columns |= {f"{name}_shortfall": 0.0 for name in (*KINDS, "sky_region")}
     columns |= dict.fromkeys(("travel_mean_mm", "travel_p95_mm", "travel_max_mm"), POSITION_MM)
     columns |= {"crossings": 0.0, "mag_bright": _FRAC, "mag_faint": _FRAC, "completeness_frac": _FRAC}
     log.compare("visits", "visits", visits, columns)

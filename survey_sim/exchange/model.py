@@ -75,12 +75,23 @@ _FIELD_PARAMS = (
     _number("centre_ra_deg", "deg", "pos.eq.ra;obs.field", "right ascension of the field centre, ICRS"),
     _number("centre_dec_deg", "deg", "pos.eq.dec;obs.field", "declination of the field centre, ICRS"),
 )
+MINIMA_PARAMS = tuple(
+    Column(name, INT32, "", "meta.number;stat.min", description)
+    for name, description in (
+        ("min_standard", "least acceptable number of standard stars"),
+        ("min_sky", "least acceptable number of sky positions"),
+        ("min_guide", "least acceptable number of guide stars"),
+        ("min_sky_region", "least acceptable number of sky positions in each sector of the plate"),
+        ("sky_regions", "equal sectors of the plate, counted from +x towards +y"),
+    )
+)
 _VISIT_PARAMS = (
     *_FIELD_PARAMS,
     *_of("visits", "visit_id"),
     _text("algorithm", "meta.id;meta.software", "allocation algorithm"),
     _number("travel_power", "", "arith", "cost of a move of d mm is d^travel_power"),
     _text("start", "meta.code", "where start_to_target begins: previous (the initial positions) or park"),
+    *MINIMA_PARAMS,
 )
 
 _ID = _of("robots", "robot_id")

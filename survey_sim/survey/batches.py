@@ -18,7 +18,8 @@ import polars as pl
 
 from survey_sim import tables
 from survey_sim.errors import InputError
-from survey_sim.survey.tile import TILE_TABLES, TileJob, simulate_tile
+from survey_sim.survey.rows import TILE_TABLES
+from survey_sim.survey.tile import TileJob, simulate_tile
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -18,14 +18,15 @@ from survey_sim.schema import TABLES
 from survey_sim.survey.batches import Batch, BatchResult, run_batches
 from survey_sim.survey.nights import schedule_run
 from survey_sim.survey.progress import tile_progress
+from survey_sim.survey.rows import TILE_TABLES
 from survey_sim.survey.run import Run, code_digest
-from survey_sim.survey.tile import TILE_TABLES, TileJob
+from survey_sim.survey.tile import TileJob
 
 # Rooms whose code each stage runs: a change there makes the stage run again.
 STAGE_ROOMS = {
     "targets": ("catalogue",),
     "tiles": ("tiling",),
-    "visits": ("allocation", "routing", "simulation", "survey/tile"),
+    "visits": ("allocation", "routing", "simulation", "survey/rows", "survey/tile"),
     "schedule": ("schedule",),
     "report": ("plotting", "player", "survey/report"),
 }

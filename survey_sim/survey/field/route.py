@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from survey_sim import tables
 from survey_sim.errors import InputError, did_you_mean
 from survey_sim.exchange import (
     AllocatedVisit,
@@ -36,17 +37,15 @@ from survey_sim.survey.field.folder import (
     find_files,
     write_folder,
 )
-from survey_sim.survey.field.rows import (
-    allocation_rows,
-    conformed,
-    leg_rows,
-    move_rows,
-    path_rows,
-    play,
-    time_rows,
-    visit_rows,
+from survey_sim.survey.field.rows import ALLOCATION_PARAMS, move_rows, visit_tables
+from survey_sim.survey.field.targets import (
+    SURVEY,
+    allocated_targets,
+    centre_of,
+    check_held,
+    field_targets,
+    targets_of_catalogue,
 )
-from survey_sim.survey.field.targets import SURVEY, allocated_targets, centre_of, check_held, targets_of_catalogue
 from survey_sim.survey.tile import stream
 
 
@@ -107,19 +106,20 @@ def route_field(
         allocated = [replace(visit, plate=plate) for visit in allocated]
         backup = {"start_positions": _recorded(start, standing)}
     targets, centre_deg = _targets(allocated)
+    lost = tables.read(sources[0], "unallocated") if tables.files(sources[0], "unallocated") else None
     routed = []
     for visit_id, visit in enumerate(allocated):
         on_progress(visit_id, len(allocated))
         routed.append(_route_visit(visit, visit_id, standing, settings, seed))
         standing = routed[-1].end("start_to_target")
-    frames = common_tables(plate, targets, centre_deg) | visit_tables(routed, targets)
+    frames = common_tables(plate, targets, centre_deg) | visit_tables(routed, field_targets(targets), lost)
     written = common_files(plate, targets, centre_deg) | _visit_files(allocated, routed)
     stow = _stow(routed[-1], settings, seed)
     written[f"{XML}/{STOW_FILE}"] = to_bytes(router_document(stow, move_rows(stow)))
     record = {
         "seed": seed,
         "settings": {
-            "allocation": {name: allocated[0].params.get(name) for name in ("algorithm", "travel_power")},
+            "allocation": {name: allocated[0].params.get(name) for name in ALLOCATION_PARAMS},
             "routing": settings.model_dump(mode="json"),
         },
         "plan": [path.name for path in files],
@@ -129,23 +129,6 @@ def route_field(
     write_folder(out, plate, frames, written, record)
     names = [out / XML / file_name("router", visit_id) for visit_id in range(len(routed))]
     return FieldRoutes(out, names, frames["paths"])
-
-
-def visit_tables(visits: Sequence[RoutedVisit], targets: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    """visits, allocations, paths, legs and robot_times of routed visits, played."""
-    rows: dict[str, list[pl.DataFrame]] = {name: [] for name in ("allocations", "paths", "legs", "robot_times")}
-    for visit in visits:
-        played = play(visit)
-        begin, end = visit.begin("start_to_target").position_mm, visit.end("start_to_target").position_mm
-        travel = np.hypot(*(end - begin).T)
-        keys = {"survey": SURVEY, "tile_id": 0, "visit_id": visit.params["visit_id"]}
-        rows["allocations"].append(allocation_rows(keys, visit.plate, visit.held, travel, end))
-        rows["paths"].append(path_rows(visit, played))
-        rows["legs"].append(leg_rows(visit))
-        rows["robot_times"].append(time_rows(visit, played))
-    frames = {name: conformed(pl.concat(parts), name) for name, parts in rows.items()}
-    frames["visits"] = conformed(visit_rows(visits, frames["paths"], frames["allocations"], targets), "visits")
-    return frames
 
 
 def route_paths(

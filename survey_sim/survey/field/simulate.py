@@ -29,9 +29,16 @@ from survey_sim.survey.field.folder import (
     table_path,
     write_folder,
 )
-from survey_sim.survey.field.route import check_plates, visit_tables
-from survey_sim.survey.field.rows import move_rows
-from survey_sim.survey.field.targets import SURVEY, allocated_targets, centre_of, check_held, targets_of_catalogue
+from survey_sim.survey.field.route import check_plates
+from survey_sim.survey.field.rows import ALLOCATION_PARAMS, move_rows, visit_tables
+from survey_sim.survey.field.targets import (
+    SURVEY,
+    allocated_targets,
+    centre_of,
+    check_held,
+    field_targets,
+    targets_of_catalogue,
+)
 
 # A file's initial positions are where the last one ended, to this much (what exchange files promise).
 SAME_PLACE_MM, SAME_ANGLE_DEG = 1e-3, 1e-4
@@ -100,7 +107,7 @@ def simulate_field(
     else:
         centre_deg = centre_of(visits[0].params)
         targets = allocated_targets([_reached(visit) for visit in visits], plate, centre_deg)
-    frames = visit_tables(visits, targets)
+    frames = visit_tables(visits, field_targets(targets))
     texts = {f"{name}.csv": frames[name].write_csv().encode() for name in ("paths", "robot_times")}
     if stop_at_s is not None:
         stopped = standing_at(visits[-1], PATHS[0], stop_at_s)
@@ -247,7 +254,7 @@ def _reached(visit: RoutedVisit) -> pl.DataFrame:
 def _record(files: Sequence[Path], visits: Sequence[RoutedVisit]) -> dict:
     first = visits[0]
     settings = {
-        "allocation": {name: first.params.get(name) for name in ("algorithm", "travel_power")},
+        "allocation": {name: first.params.get(name) for name in ALLOCATION_PARAMS},
         "routing": {"router": first.params.get("router")},
     }
     start = {"position_mm": first.standing.position_mm.tolist(), "theta_deg": first.standing.theta_deg.tolist()}

@@ -1,0 +1,256 @@
+"""Rows of a run's tables from visits that were allocated, routed and played, of tiles and fields alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+
+from survey_sim.allocation import FieldTargets, LostReason, Minima, completeness_bound, crossings, ideal_completeness
+from survey_sim.geometry import FloatArray
+from survey_sim.instrument import Plate
+from survey_sim.motion import Legs
+from survey_sim.schema import TABLES, TARGET_KINDS
+from survey_sim.simulation import SimulatedPath
+
+# Tables that the visits of a tile make.
+TILE_TABLES = ("visits", "allocations", "paths", "legs", "robot_times", "unallocated")
+_LEG_COLUMNS = ("leg", "start_s", "rotate_deg", "dx_mm", "dy_mm", "precise_mm", "x_mm", "y_mm", "theta_deg")
+_PLAYED = ("configuration_time_s", "configuration_time_p95_s", "ticks", "collisions")
+# Figures of `start_to_target` that `visits` holds too.
+_OF_PATH = (*_PLAYED, "unrouted", "lower_bound_s")
+_SHORTFALLS = ("standard", "sky", "guide", "sky_region")
+
+
+@dataclass(frozen=True)
+class PlayedPath:
+    """One path of a visit, routed and played.
+
+    Attributes
+    ----------
+    reason
+        (n_robot,) why each robot was not routed; None where it was.
+    lower_bound_s
+        The slowest robot, were it alone.
+    """
+
+    legs: Legs
+    played: SimulatedPath
+    reason: npt.NDArray[np.object_]
+    lower_bound_s: float
+
+    def figures(self) -> dict[str, float | int]:
+        """Those that both `paths` and `visits` hold."""
+        own = {name: getattr(self.played, name) for name in _PLAYED}
+        n_unrouted = sum(reason is not None for reason in self.reason)
+        return {**own, "unrouted": n_unrouted, "lower_bound_s": self.lower_bound_s}
+
+
+class Rows:
+    """Rows of one table, gathered as arrays and made a frame once."""
+
+    def __init__(self, table: str) -> None:
+        self.table = table
+        self._columns: dict[str, list[np.ndarray]] = {name: [] for name in TABLES[table].names}
+
+    def add(self, n_row: int, **columns: Any) -> None:
+        """Add rows; a single value stands for all of them."""
+        for name, chunks in self._columns.items():
+            value = np.asarray(columns[name])
+            chunks.append(value if value.ndim else np.full(n_row, value))
+
+    def frame(self) -> pl.DataFrame:
+        """All rows as a frame of the schema; NaN and None stand for null where a column may have it."""
+        columns = {}
+        for declared in TABLES[self.table].columns:
+            chunks = self._columns[declared.name]
+            values = np.concatenate(chunks) if chunks else np.empty(0)
+            series = pl.Series(declared.name, values.tolist() if values.dtype == object else values, strict=False)
+            if declared.is_nullable and series.dtype.is_float():
+                series = series.fill_nan(None)
+            columns[declared.name] = series.cast(declared.dtype)
+        return pl.DataFrame(columns)
+
+
+class TileRows:
+    """Rows of all visits of one tile, with the tally that they need.
+
+    Parameters
+    ----------
+    minima
+        Least acceptable fibres of a visit; None where nobody knows: shortfalls are null.
+    bound
+        Method of the bound of completeness; "none" leaves it null.
+
+    Attributes
+    ----------
+    n_done
+        (n_target,) visits in which a robot reached the target.
+    n_visit
+        Visits so far.
+    """
+
+    def __init__(
+        self,
+        survey: str,
+        tile_id: int,
+        field: FieldTargets,
+        plate: Plate,
+        minima: Minima | None,
+        bound: Literal["none", "fast", "linear"] = "none",
+    ) -> None:
+        self.survey, self.tile_id, self.field, self.plate = survey, tile_id, field, plate
+        self.n_done = np.zeros(field.n_target, dtype=np.int64)
+        self.n_visit = 0
+        self._minima, self._bound = minima, bound
+        self._ideal: FloatArray = np.empty(0)
+        self._rows = {table: Rows(table) for table in TILE_TABLES}
+
+    def frames(self) -> dict[str, pl.DataFrame]:
+        """A frame for each of `TILE_TABLES`."""
+        return {table: rows.frame() for table, rows in self._rows.items()}
+
+    @property
+    def is_complete(self) -> npt.NDArray[np.bool_]:
+        """(n_target,) science targets with all their visits."""
+        return self.field.is_science & (self.n_done >= self.field.wanted_visits)
+
+    @property
+    def completeness_frac(self) -> float:
+        """Complete science targets / science targets of the tile; 1 if there are none."""
+        is_science = self.field.is_science
+        return float(self.is_complete.sum() / is_science.sum()) if is_science.any() else 1.0
+
+    def add_path(self, path: str, made: PlayedPath) -> None:
+        """A path of the visit that comes next: `paths`, `legs`, `robot_times`."""
+        keys = {**self._keys(self.n_visit), "path": path}
+        played, legs = made.played, made.legs
+        self._rows["paths"].add(
+            1,
+            **keys,
+            **made.figures(),
+            configuration_time_median_s=played.configuration_time_median_s,
+            min_separation_mm=played.min_separation_mm,
+        )
+        leg_columns = {name: getattr(legs, name) for name in _LEG_COLUMNS}
+        self._rows["legs"].add(len(legs), **keys, robot_id=self.plate.robot_id[legs.robot], **leg_columns)
+        self._rows["robot_times"].add(
+            self.plate.n_robot,
+            **keys,
+            robot_id=self.plate.robot_id,
+            rotating_s=played.rotating_s,
+            moving_s=played.moving_s,
+            waiting_s=played.waiting_s,
+            reason=made.reason,
+        )
+
+    def add_visit(
+        self, begins: str, held: np.ndarray, start_mm: FloatArray, end_mm: FloatArray, to_target: PlayedPath | None
+    ) -> None:
+        """The visit that comes next, and the tally: `visits`, `allocations`.
+
+        Parameters
+        ----------
+        begins
+            Where `start_to_target` begins: previous or park.
+        held
+            (n_robot,) places in `field` of the targets that the robots reach, or -1.
+        start_mm, end_mm
+            (n_robot, 2) where `start_to_target` begins and ends.
+        to_target
+            That path; None while it is not routed.
+        """
+        keys = self._keys(self.n_visit)
+        self.n_visit += 1
+        self.n_done[held[held >= 0]] += 1
+        travel_mm = np.hypot(*(end_mm - start_mm).T)
+        self._add_allocations(keys, held, end_mm, travel_mm)
+        self._rows["visits"].add(
+            1,
+            **keys,
+            start=begins,
+            **self._fibres(held),
+            completeness_frac=self.completeness_frac,
+            ideal_completeness_frac=self._ideal_frac(),
+            completeness_bound_frac=self._bound_frac(),
+            **_travel(travel_mm),
+            crossings=crossings(start_mm, end_mm),
+            **(dict.fromkeys(_OF_PATH, np.nan) if to_target is None else to_target.figures()),
+        )
+
+    def add_unallocated(self, reason: np.ndarray) -> None:
+        """Science targets that are not complete, and why: (n_target,) `LostReason`."""
+        lost = np.flatnonzero(self.field.is_science & ~self.is_complete)
+        labels = np.array([LostReason(code).label for code in range(len(LostReason))], dtype=object)
+        self._rows["unallocated"].add(
+            len(lost),
+            survey=self.survey,
+            tile_id=self.tile_id,
+            target_id=self.field.target_id[lost],
+            n_allocated=self.n_done[lost],
+            reason=labels[reason[lost]],
+        )
+
+    def _keys(self, visit_id: int) -> dict[str, Any]:
+        return {"survey": self.survey, "tile_id": self.tile_id, "visit_id": visit_id}
+
+    def _add_allocations(self, keys: Mapping[str, Any], held: np.ndarray, end_mm: FloatArray, travel_mm: FloatArray) -> None:
+        kinds = np.array([*TARGET_KINDS, None], dtype=object)
+        target_id = np.full(len(held), np.nan)
+        kind = np.full(len(held), -1)
+        has_target = held >= 0
+        target_id[has_target] = self.field.target_id[held[has_target]]
+        kind[has_target] = self.field.kind[held[has_target]]
+        self._rows["allocations"].add(
+            self.plate.n_robot,
+            **keys,
+            robot_id=self.plate.robot_id,
+            target_id=target_id,
+            kind=kinds[kind],
+            x_mm=end_mm[:, 0],
+            y_mm=end_mm[:, 1],
+            travel_mm=travel_mm,
+        )
+
+    def _fibres(self, held: np.ndarray) -> dict[str, float | int]:
+        """What the fibres of a visit hold, and lack."""
+        field, target = self.field, held[held >= 0]
+        kind = field.kind[target]
+        number = np.bincount(kind, minlength=len(TARGET_KINDS))
+        mag = field.mag[target][kind == TARGET_KINDS.index("science")]
+        mag = mag[np.isfinite(mag)]
+        lack: Mapping[str, float] = dict.fromkeys(_SHORTFALLS, np.nan)
+        if self._minima is not None:
+            lack = self._minima.shortfall(kind, field.x_mm[target], field.y_mm[target])
+        return {
+            "mag_bright": mag.min() if len(mag) else np.nan,
+            "mag_faint": mag.max() if len(mag) else np.nan,
+            **{f"n_{name}": int(n) for name, n in zip(TARGET_KINDS, number, strict=True)},
+            "n_idle": int((self.plate.is_live & (held < 0)).sum()),
+            **{f"{name}_shortfall": lack[name] for name in _SHORTFALLS},
+        }
+
+    def _ideal_frac(self) -> float:
+        """Completeness of an ideal positioner after as many visits."""
+        if self.n_visit > len(self._ideal):
+            self._ideal = ideal_completeness(self.field, self.plate, 2 * self.n_visit + 8)
+        return float(self._ideal[self.n_visit - 1])
+
+    def _bound_frac(self) -> float:
+        """Upper bound of completeness for any allocation after as many visits; NaN if it is not wanted."""
+        if self._bound == "none":
+            return np.nan
+        return completeness_bound(self.field, self.plate, self.n_visit, method=self._bound)
+
+
+def _travel(travel_mm: FloatArray) -> dict[str, float]:
+    """Figures of the robots that travel."""
+    travel = np.sort(travel_mm[travel_mm > 0])
+    if not len(travel):
+        return {"travel_mean_mm": 0.0, "travel_p95_mm": 0.0, "travel_max_mm": 0.0}
+    p95 = travel[int(np.ceil(0.95 * len(travel) - 1e-9)) - 1]
+    return {"travel_mean_mm": float(travel.mean()), "travel_p95_mm": float(p95), "travel_max_mm": float(travel[-1])}
