@@ -57,7 +57,9 @@ def allocate(
         ),
     ],
     instrument: Annotated[str, typer.Option(metavar="NAME/FILE", help="Preset or TOML file.")] = "taipan-150",
-    algorithm: Annotated[str, typer.Option(help="ideal, cda-basic, cda-advanced, matching or plan.")] = "plan",
+    algorithm: Annotated[
+        str, typer.Option(help="ideal, cda-basic, cda-advanced, matching, plan, or an installed package's.")
+    ] = "plan",
     visits: Annotated[
         int | None, typer.Option(min=1, help="Visits; by default as many as completeness needs.", show_default=False)
     ] = None,
@@ -97,7 +99,7 @@ def allocate(
 def route(
     sources: RunOrFiles,
     router: Annotated[
-        str, typer.Option(help="simple-vector, traffic-light, cooperative-astar or coordinated.")
+        str, typer.Option(help="simple-vector, traffic-light, cooperative-astar, coordinated, or an installed package's.")
     ] = "coordinated",
     start: Annotated[
         Path | None, typer.Option(metavar="POSITIONS.xml", help="Backup file of the robots' positions.", show_default=False)
@@ -208,7 +210,7 @@ def compare_routers(
     sources: RunOrFiles,
     router: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="May be repeated; all four by default.", show_default=False),
+        typer.Option(metavar="NAME", help="May be repeated; our four by default.", show_default=False),
     ] = None,
     instrument: Instrument = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random streams.")] = 1,

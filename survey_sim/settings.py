@@ -57,6 +57,9 @@ def _input_error(model: type[Settings], failure: ValidationError, file: str | Pa
         hint = did_you_mean(keys[-1], owner.model_fields) if owner else None
         return InputError(f"unknown key{more}", file=file, place=place, remedy=hint)
     given = "" if first["type"] == "missing" else f", not {first['input']!r}"
+    refusal = first.get("ctx", {}).get("error")
+    if isinstance(refusal, InputError):
+        return InputError(f"{refusal.rule}{more}", file=file, place=place, rows=refusal.rows, remedy=refusal.remedy)
     message = first["msg"].removeprefix("Value error, ")
     hint = None
     if first["type"] == "literal_error" and isinstance(first["input"], str):

@@ -336,7 +336,7 @@ class TestDoor:
         assert (tmp_path / "precious.txt").read_text() == "x"
 
     def test_unknown_names(self, field: Path, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match=r"unknown algorithm.*\n.*did you mean 'cda-basic'"):
+        with pytest.raises(InputError, match=r"unknown allocator.*\n.*did you mean 'cda-basic'"):
             allocate_field(field.parent / "targets.csv", tmp_path / "x", algorithm="cda-basics")
         with pytest.raises(InputError, match="unknown router"):
             route_field([field], tmp_path / "x", router="straight")

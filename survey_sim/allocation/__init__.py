@@ -5,21 +5,26 @@ stand, and its `record` takes what the router could bring about.
 """
 
 from survey_sim.allocation.bound import completeness_bound
+from survey_sim.allocation.field import Field, VisitRequest
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels import crossings
 from survey_sim.allocation.minima import Minima
-from survey_sim.allocation.session import Session, VisitAllocation, start_allocation
+from survey_sim.allocation.session import ALLOCATORS, Allocator, Session, VisitAllocation, start_allocation
 from survey_sim.allocation.settings import ALGORITHMS, AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets
 
 __all__ = [
     "ALGORITHMS",
+    "ALLOCATORS",
     "AllocationSettings",
+    "Allocator",
+    "Field",
     "FieldTargets",
     "LostReason",
     "Minima",
     "Session",
     "VisitAllocation",
+    "VisitRequest",
     "completeness_bound",
     "crossings",
     "ideal_completeness",

@@ -9,24 +9,29 @@ import numpy.typing as npt
 
 from survey_sim.allocation.closest import choose_advanced, choose_basic
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field
+from survey_sim.allocation.foreign import checked_choice
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle
 from survey_sim.allocation.matching import choose_matching
 from survey_sim.allocation.planning import Planner
 from survey_sim.allocation.settings import AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
+from survey_sim.extensions import load
 from survey_sim.instrument import Plate
 from survey_sim.schema import TARGET_KINDS
 
 Start = Literal["previous", "park"]
+# Who chooses a visit's targets: (n_robot,) index into the field's targets, or -1.
 Choice = Callable[[Field, VisitRequest], IntArray]
+# Made once for each tile; what it keeps from visit to visit is its own.
+Allocator = Callable[[Field, np.random.Generator], Choice]
 
-# How each algorithm that looks at one visit alone chooses; `plan` keeps a `Planner`.
-CHOICES: dict[str, Choice] = {
-    "ideal": choose_ideal,
-    "cda-basic": choose_basic,
-    "cda-advanced": choose_advanced,
-    "matching": choose_matching,
+ALLOCATORS: dict[str, Allocator] = {
+    "ideal": lambda field, rng: choose_ideal,
+    "cda-basic": lambda field, rng: choose_basic,
+    "cda-advanced": lambda field, rng: choose_advanced,
+    "matching": lambda field, rng: choose_matching,
+    "plan": Planner,
 }
 
 
@@ -80,7 +85,7 @@ class Session:
         self.field = field
         n_target = field.targets.n_target
         self.n_done = np.zeros(n_target, dtype=np.int64) if n_done is None else np.array(n_done, dtype=np.int64)
-        self._choose = CHOICES.get(field.settings.algorithm) or Planner(field, rng)
+        self._choose = _chooser(field, rng)
         self._n_visit = 0
         self._awaits_record = False
         self._is_pair_open = np.ones(len(field.reach_robot), dtype=bool)
@@ -219,6 +224,15 @@ def start_allocation(
         (n_target,) visits that each science target has received already (a tile that goes on); none by default.
     """
     return Session(make_field(targets, plate, settings), rng, n_done)
+
+
+def _chooser(field: Field, rng: np.random.Generator) -> Choice:
+    """Who chooses in this tile; what another package's allocator chooses is checked."""
+    name = field.settings.algorithm
+    if name in ALLOCATORS:
+        return ALLOCATORS[name](field, rng)
+    choose: Choice = load("allocator", name)(field, rng)
+    return lambda field, request: checked_choice(field, request, choose(field, request))
 
 
 def _make_visit(

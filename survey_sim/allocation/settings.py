@@ -2,14 +2,14 @@
 
 from enum import IntEnum
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Any, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
+from survey_sim.extensions import check_name
 from survey_sim.settings import Settings
 
-Algorithm = Literal["ideal", "cda-basic", "cda-advanced", "matching", "plan"]
-ALGORITHMS: tuple[str, ...] = get_args(Algorithm)
+ALGORITHMS = ("ideal", "cda-basic", "cda-advanced", "matching", "plan")
 
 
 # Measured (docs/allocation.md).
@@ -37,7 +37,8 @@ class LostReason(IntEnum):
 class AllocationSettings(Settings):
     """How fibres are given to targets, visit by visit."""
 
-    algorithm: Algorithm = "plan"
+    # One of ours, or of an installed package (docs/extending.md).
+    algorithm: str = "plan"
     # Cost of a move of d mm is d^travel_power: 4 is nearly the shortest configuration, 1 the least travel.
     travel_power: float = Field(4.0, gt=0, le=8)
     # `matching` and `plan`: to that is added so much of the same power of the distance from the robot's park to its target.
@@ -72,6 +73,20 @@ class AllocationSettings(Settings):
     mag_ranges: tuple[tuple[float, float], ...] = ()
     # Upper bound of completeness given beside every visit: "linear" is tight and slow, "fast" loose.
     bound: Literal["none", "fast", "linear"] = "fast"
+
+    # Settings of an allocator of another package, which knows what they mean.
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("algorithm")
+    @classmethod
+    def _is_known(cls, name: str) -> str:
+        return check_name("allocator", name, ALGORITHMS)
+
+    @model_validator(mode="after")
+    def _ours_have_no_options(self) -> Self:
+        if self.options and self.algorithm in ALGORITHMS:
+            raise ValueError(f"options are for allocators of other packages; {self.algorithm!r} has none")
+        return self
 
     @property
     def used_park_pull(self) -> float:

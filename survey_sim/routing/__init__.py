@@ -1,21 +1,31 @@
 """Routing: a collision-free path of all robots from where they stand to where they should.
 
 `route` checks the problem and hands it to one of the paper's three routers or to ours (`coordinated`, the default). All
-keep the separation at every instant, by closed form; what a method cannot route stays where it starts, with a reason.
+keep the separation at every instant, by closed form; what a method cannot route stays where it starts, with a reason. A
+router of another package is called in the same way.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
+from survey_sim.extensions import load
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, leg_times_s
 from survey_sim.routing.coordinated import route_coordinated
+from survey_sim.routing.foreign import checked_routes
 from survey_sim.routing.prioritised import route_cooperative_astar, route_traffic_light
-from survey_sim.routing.problem import Problem, RoutedPath, RoutingSettings, UnroutedReason, check_problem
+from survey_sim.routing.problem import (
+    ROUTER_NAMES,
+    Problem,
+    RoutedPath,
+    RoutingSettings,
+    UnroutedReason,
+    check_problem,
+)
 from survey_sim.routing.simple_vector import route_simple_vector
 
-__all__ = ["ROUTERS", "RoutedPath", "RoutingSettings", "UnroutedReason", "route"]
+__all__ = ["ROUTERS", "ROUTER_NAMES", "Problem", "RoutedPath", "Router", "RoutingSettings", "UnroutedReason", "route"]
 
 Router = Callable[[Problem, RoutingSettings, np.random.Generator], tuple[Legs, np.ndarray]]
 
@@ -55,7 +65,10 @@ def route(
         that is not its start; a wrong shape. All bad robots are named.
     """
     problem = check_problem(plate, start_mm, start_theta_deg, goal_mm)
-    legs, reason = ROUTERS[settings.router](problem, settings, rng)
+    if settings.router in ROUTERS:
+        legs, reason = ROUTERS[settings.router](problem, settings, rng)
+    else:
+        legs, reason = checked_routes(problem, settings, load("router", settings.router)(problem, settings, rng))
     return _result(problem, legs, reason)
 
 

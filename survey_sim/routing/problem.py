@@ -3,19 +3,20 @@
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 
 from survey_sim.errors import InputError
+from survey_sim.extensions import check_name
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, alone_time_s
 from survey_sim.routing.kernels import has_near
 from survey_sim.settings import Settings
 
-RouterName = Literal["simple-vector", "traffic-light", "cooperative-astar", "coordinated"]
+ROUTER_NAMES = ("simple-vector", "traffic-light", "cooperative-astar", "coordinated")
 
 # Separations down to this much below min_separation_mm are legal everywhere (design tolerance).
 SEPARATION_TOLERANCE_MM = 1e-6
@@ -46,11 +47,25 @@ class UnroutedReason(IntEnum):
 class RoutingSettings(Settings):
     """Which router, and how it plans."""
 
-    router: RouterName = "coordinated"
+    # One of ours, or of an installed package (docs/extending.md).
+    router: str = "coordinated"
     # Extra separation planned where starts and goals allow; what cannot be routed so is routed without it.
     margin_mm: float = Field(0.0, ge=0)
     # Coordinated: steps of repair spent on shortening a path that was not found at the bound.
     n_repair: int = Field(1000, ge=1)
+    # Settings of a router of another package, which knows what they mean.
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("router")
+    @classmethod
+    def _is_known(cls, name: str) -> str:
+        return check_name("router", name, ROUTER_NAMES)
+
+    @model_validator(mode="after")
+    def _ours_have_no_options(self) -> Self:
+        if self.options and self.router in ROUTER_NAMES:
+            raise ValueError(f"options are for routers of other packages; {self.router!r} has none")
+        return self
 
 
 @dataclass(frozen=True)

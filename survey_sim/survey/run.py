@@ -111,6 +111,7 @@ class Run:
             "name": self.settings.run.name,
             "seed": self.settings.run.seed,
             "settings": settings,
+            "extensions": self.settings.extensions,
             "instrument": self.instrument.model_dump(mode="json"),
             **({"scenario": dict(self.scenario)} if self.scenario else {}),
             **kept,

@@ -11,11 +11,12 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from survey_sim.allocation import AllocationSettings
+from survey_sim.allocation import ALGORITHMS, AllocationSettings
 from survey_sim.catalogue import ProgrammeSettings
 from survey_sim.errors import InputError, did_you_mean
+from survey_sim.extensions import origin
 from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
-from survey_sim.routing import RoutingSettings
+from survey_sim.routing import ROUTER_NAMES, RoutingSettings
 from survey_sim.schedule import ScheduleSettings
 from survey_sim.settings import Settings, read_toml
 from survey_sim.tiling import TilingSettings
@@ -124,7 +125,7 @@ class PipelineSettings(Settings):
             if survey not in self.surveys:
                 hint = did_you_mean(survey, self.surveys)
                 raise ValueError(f"[allocation.surveys.{survey}] names no survey of a programme; {hint}")
-        if any(self.allocation.of(survey).algorithm == "ideal" for survey in self.surveys):
+        if any(self._algorithm(survey) == "ideal" for survey in self.surveys):
             raise ValueError("allocation.algorithm 'ideal' keeps no separation, so its visits cannot be routed")
         return self
 
@@ -137,6 +138,16 @@ class PipelineSettings(Settings):
     def science(self) -> tuple[ProgrammeSettings, ...]:
         """The science programmes."""
         return tuple(programme for programme in self.programme if programme.kind == "science")
+
+    @property
+    def extensions(self) -> dict[str, dict[str, str]]:
+        """Package and code of each allocator and router that is not ours, by its name."""
+        named = {name: origin("allocator", name, ALGORITHMS) for name in map(self._algorithm, self.surveys)}
+        named[self.routing.router] = origin("router", self.routing.router, ROUTER_NAMES)
+        return {name: found for name, found in named.items() if found is not None}
+
+    def _algorithm(self, survey: str) -> str:
+        return self.allocation.of(survey).algorithm
 
     def plate(self, folder: Path) -> Plate:
         """The robots of the run."""

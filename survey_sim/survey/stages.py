@@ -129,6 +129,7 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
             "dead_robots": run.plate.robot_id[~run.plate.is_live].tolist(),
             "allocation": dump["allocation"],
             "routing": dump["routing"],
+            "extensions": run.settings.extensions,
             "wanted": {p.name: p.completeness_frac for p in run.settings.science},
             "tiles_per_part": dump["output"]["tiles_per_part"],
         },

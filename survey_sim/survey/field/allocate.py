@@ -10,14 +10,13 @@ import numpy as np
 import polars as pl
 
 from survey_sim.allocation import (
-    ALGORITHMS,
     AllocationSettings,
     FieldTargets,
     Minima,
     VisitAllocation,
     start_allocation,
 )
-from survey_sim.errors import InputError, did_you_mean
+from survey_sim.errors import InputError
 from survey_sim.exchange import AllocatedVisit, allocation_document, to_bytes
 from survey_sim.instrument import Plate, load_instrument, make_plate
 from survey_sim.survey.field.folder import (
@@ -85,8 +84,6 @@ def allocate_field(
     InputError
         Unknown algorithm or instrument; targets that are no targets; a folder that holds something else.
     """
-    if algorithm not in ALGORITHMS:
-        raise InputError(f"unknown algorithm {algorithm!r}", place="--algorithm", remedy=did_you_mean(algorithm, ALGORITHMS))
     values = {"algorithm": algorithm, "visits": visits, "travel_power": travel_power}
     settings = AllocationSettings.load(values, section="allocation")
     check_out(out)

@@ -10,10 +10,9 @@ import numpy as np
 import polars as pl
 
 from survey_sim import tables
-from survey_sim.errors import InputError, did_you_mean
 from survey_sim.exchange import AllocatedVisit, Standing, parked, read_allocation
 from survey_sim.instrument import load_instrument, make_plate
-from survey_sim.routing import ROUTERS, RoutingSettings, UnroutedReason
+from survey_sim.routing import ROUTER_NAMES, RoutingSettings, UnroutedReason
 from survey_sim.schema import PATHS
 from survey_sim.simulation import simulate
 from survey_sim.survey.field.folder import find_files
@@ -63,28 +62,25 @@ def compare_routers(
     sources
         One run folder (of `allocate`), or allocation files in order.
     routers
-        All by default.
+        All of ours by default.
 
     Raises
     ------
     InputError
         Unknown router; files that do not fit; starts or ends that are not legal.
     """
-    names = tuple(routers) or tuple(ROUTERS)
-    unknown = [name for name in names if name not in ROUTERS]
-    if unknown:
-        raise InputError(f"unknown router {unknown[0]!r}", place="--router", remedy=did_you_mean(unknown[0], ROUTERS))
+    names = tuple(routers) or ROUTER_NAMES
+    chosen = [RoutingSettings.load({"router": name}, section="routing") for name in names]
     given = None if instrument is None else make_plate(load_instrument(instrument))
     visits = [read_allocation(path, given) for path in find_files(sources, "allocation")]
     check_plates(visits)
-    rows = pl.DataFrame([row for name in names for row in _rows(name, visits, seed)])
+    rows = pl.DataFrame([row for settings in chosen for row in _rows(settings, visits, seed)])
     tables.write_bytes(rows.write_csv().encode(), out / "routers.csv")
     _draw(rows, out)
     return RouterComparison(rows, out / "routers.csv")
 
 
-def _rows(router: str, visits: Sequence[AllocatedVisit], seed: int) -> list[dict]:
-    settings = RoutingSettings.load({"router": router}, section="routing")
+def _rows(settings: RoutingSettings, visits: Sequence[AllocatedVisit], seed: int) -> list[dict]:
     plate = visits[0].plate
     standing = parked(plate)
     rows = []
@@ -98,7 +94,7 @@ def _rows(router: str, visits: Sequence[AllocatedVisit], seed: int) -> list[dict
             figures = {name: getattr(played, name) for name in _FIGURES}
             bound = {"lower_bound_s": routed.lower_bound_s, "unrouted": n_unrouted}
             file = visit.file.name if visit.file else ""
-            rows.append({"router": router, "visit_id": number, "file": file, "path": path, **figures, **bound})
+            rows.append({"router": settings.router, "visit_id": number, "file": file, "path": path, **figures, **bound})
         goal = np.where(plate.is_live[:, None], visit.goal_mm, standing.position_mm)
         standing = Standing(goal, np.zeros(plate.n_robot))
     return rows

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from survey_sim import tables
-from survey_sim.errors import InputError, did_you_mean
+from survey_sim.errors import InputError
 from survey_sim.exchange import (
     AllocatedVisit,
     RoutedVisit,
@@ -24,7 +24,7 @@ from survey_sim.exchange import (
     to_bytes,
 )
 from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
-from survey_sim.routing import ROUTERS, RoutedPath, RoutingSettings, UnroutedReason, route
+from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.schema import PATHS
 from survey_sim.survey.field.folder import (
     STOW_FILE,
@@ -91,7 +91,7 @@ def route_field(
     InputError
         Files that do not fit, start or goals that are not legal.
     """
-    settings = _settings(router)
+    settings = RoutingSettings.load({"router": router}, section="routing")
     files = find_files(sources, "allocation")
     out = out or (sources[0] if sources[0].is_dir() else Path("runs") / SURVEY)
     check_out(out)
@@ -216,12 +216,6 @@ def _recorded(path: Path, standing: Standing) -> dict[str, object]:
 def _reasons(path: RoutedPath) -> list[str | None]:
     codes = [UnroutedReason(code) for code in path.reason.tolist()]
     return [None if code is UnroutedReason.ARRIVED else code.code for code in codes]
-
-
-def _settings(router: str) -> RoutingSettings:
-    if router not in ROUTERS:
-        raise InputError(f"unknown router {router!r}", place="--router", remedy=did_you_mean(router, ROUTERS))
-    return RoutingSettings.load({"router": router}, section="routing")
 
 
 def check_plates(visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit]) -> None:

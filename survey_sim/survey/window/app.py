@@ -25,8 +25,9 @@ from starlette.routing import Route
 
 from survey_sim.allocation import ALGORITHMS
 from survey_sim.errors import InputError
+from survey_sim.extensions import known_names
 from survey_sim.instrument import PRESETS, load_instrument
-from survey_sim.routing import ROUTERS
+from survey_sim.routing import ROUTER_NAMES
 from survey_sim.survey.window.jobs import Job, Jobs, Wish
 
 HOST = "127.0.0.1"
@@ -100,8 +101,8 @@ class _Window:
             script=Markup((_FOLDER / "window.js").read_text(encoding="utf-8")),
             offered={key: str(path) for key, path in self.offered.items()},
             instruments=list(PRESETS),
-            algorithms=ALGORITHMS,
-            routers=list(ROUTERS),
+            algorithms=known_names("allocator", ALGORITHMS),
+            routers=known_names("router", ROUTER_NAMES),
             constants=constants,
         )
         return HTMLResponse(text, headers={"Content-Security-Policy": _POLICY})
