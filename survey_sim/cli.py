@@ -110,6 +110,40 @@ def check(run_dir: RunDir, quiet: Quiet = False) -> None:
         raise typer.Exit(1)
 
 
+@app.command()
+def compare(
+    run_dirs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN_DIR ...", help="Folders of runs, or of a sweep: all its runs.", show_default=False),
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder of the comparison; the sweep's comparison/ by default.")] = None,
+    reference: Annotated[str | None, typer.Option(help="Scenario that the others are compared to.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Scenarios side by side: differences with uncertainties from paired seeds, as text, Parquet and HTML."""
+    from survey_sim.plotting.comparison import ComparisonTables
+    from survey_sim.survey.compare import compare_runs
+    from survey_sim.survey.comparison_page import text_of, write_comparison
+
+    folder = compare_runs(run_dirs, out, reference)
+    page = write_comparison(folder)
+    if not quiet:
+        typer.echo(text_of(ComparisonTables(folder)), nl=False)
+    _console(quiet).print(f"comparison: {page}")
+
+
+@app.command()
+def imprint(
+    run_dir: RunDir,
+    out: Annotated[Path | None, typer.Option(help="Folder of tables and figures; imprint/ in the run's by default.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """What the allocation prints on the sky: completeness by pair separation, density, place on the plate, and park."""
+    from survey_sim.survey.compare import write_imprint
+
+    _console(quiet).print(f"imprint: {write_imprint(run_dir, out)}")
+
+
 add_field_commands(app)
 
 
@@ -150,6 +184,8 @@ def catalogue_make(
 def _run_scenarios(
     file: Path, out: Path | None, changes: tuple[str, ...], workers: Any, dry_run: bool, console: Any
 ) -> None:
+    from survey_sim.survey.compare import compare_runs
+    from survey_sim.survey.comparison_page import write_comparison
     from survey_sim.survey.sweep import load_sweep, plan_sweep, run_sweep
 
     sweep = load_sweep(file, out, changes)
@@ -158,7 +194,9 @@ def _run_scenarios(
             typer.echo(line)
         return
     run_sweep(sweep, workers, console)
+    page = write_comparison(compare_runs([sweep.folder]))
     console.print(f"done: [bold]{sweep.folder}[/bold]")
+    console.print(f"  look at  {page}")
 
 
 def main() -> None:

@@ -18,7 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from survey_sim.errors import InputError
-from survey_sim.schema import SCHEMA_VERSION, TABLES, Column, Table
+from survey_sim.schema import SCHEMA_VERSION, Column, Table
+from survey_sim.study_schema import ALL_TABLES
 
 # IVOA note "VOParquet" 1.0: the keys under which a file holds its data-less VOTable.
 _VOPARQUET_VERSION = b"IVOA.VOTable-Parquet.version"
@@ -40,7 +41,7 @@ _VOTABLE_TYPE = {
 
 def empty(table: str) -> pl.DataFrame:
     """A table with its columns and no row."""
-    return pl.DataFrame(schema={column.name: column.dtype for column in TABLES[table].columns})
+    return pl.DataFrame(schema={column.name: column.dtype for column in ALL_TABLES[table].columns})
 
 
 def conform(frame: pl.DataFrame, table: str) -> pl.DataFrame:
@@ -52,7 +53,7 @@ def conform(frame: pl.DataFrame, table: str) -> pl.DataFrame:
         A declared column is absent, an undeclared one present, a value does not fit its type, a null stands where none may,
         or two rows share a key: always a fault of the stage that made the frame.
     """
-    declared = TABLES[table]
+    declared = ALL_TABLES[table]
     columns = [_declared(frame, declared, name) for name in declared.names]
     extra = [name for name in frame.columns if name not in declared.names]
     columns += [_declared(frame, declared, name) for name in sorted(extra)]
@@ -123,7 +124,7 @@ def clean_up(folder: Path) -> None:
 
 def files(run_dir: Path, table: str) -> list[Path]:
     """The files of a run's table, in order of their names; empty if the run has none."""
-    if TABLES[table].is_in_parts:
+    if ALL_TABLES[table].is_in_parts:
         return sorted((run_dir / table).glob("*.parquet"))
     single = run_dir / f"{table}.parquet"
     return [single] if single.is_file() else []
@@ -138,13 +139,13 @@ def scan(run_dir: Path, table: str) -> pl.LazyFrame:
         The run has no such table, a file is not readable, is of another schema version, or a declared column is absent.
     """
     found = files(run_dir, table)
-    if not found and TABLES[table].is_in_parts and (run_dir / table).is_dir():
+    if not found and ALL_TABLES[table].is_in_parts and (run_dir / table).is_dir():
         return empty(table).lazy()
     if not found:
-        where = run_dir / (f"{table}/" if TABLES[table].is_in_parts else f"{table}.parquet")
+        where = run_dir / (f"{table}/" if ALL_TABLES[table].is_in_parts else f"{table}.parquet")
         raise InputError("no such table", file=where, remedy="name the folder of a finished run")
     for path in found:
-        _check_file(path, TABLES[table])
+        _check_file(path, ALL_TABLES[table])
     return pl.scan_parquet(found, glob=False)
 
 
@@ -207,7 +208,7 @@ def _check_file(path: Path, table: Table) -> None:
 @cache
 def _arrow_schema(table: str, names: tuple[str, ...], text_lengths: tuple[tuple[str, int], ...]) -> pa.Schema:
     """Arrow schema of a file, its metadata included."""
-    declared = TABLES[table]
+    declared = ALL_TABLES[table]
     columns = [column for name in names if (column := declared.column(name)) is not None]
     types = pl.DataFrame(schema={c.name: c.dtype for c in columns}).to_arrow(compat_level=pl.CompatLevel.oldest()).schema
     fields = [

@@ -8,6 +8,7 @@ from pathlib import Path
 import polars as pl
 
 from survey_sim.schema import SCHEMA_VERSION, TABLES, Column, Table
+from survey_sim.study_schema import STUDY_TABLES
 
 _HEAD = f"""# Data model
 
@@ -28,10 +29,17 @@ at park. A robot that was not routed stays where the path began; `robot_times.re
 it stands.
 """
 
+_STUDIES = """
+# Tables of studies
+
+`survey-sim compare`, `imprint` and `weights` make these of finished runs; a row names its scenario, programme or target.
+"""
+
 
 def data_model_page() -> str:
     """The page, as Markdown."""
-    return _HEAD + "".join(_table(table) for table in TABLES.values())
+    studies = "".join(_table(table) for table in STUDY_TABLES.values())
+    return _HEAD + "".join(_table(table) for table in TABLES.values()) + _STUDIES + studies
 
 
 def _table(table: Table) -> str:

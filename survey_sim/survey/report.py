@@ -24,7 +24,7 @@ from survey_sim.survey.field import view_field
 NOTHING = "\u2013"
 PAGE, STYLE, PLAYERS = "page.html.jinja", "page.css", "players"
 # Pixels of a screen to the inch, by which a figure is shown at the size for which it was drawn.
-_SCREEN_DPI = 96
+SCREEN_DPI = 96
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Figures:
         self._shown.add(name)
         script, (png, (width_in, height_in)) = self.scripts[name], self.images[name]
         image = Markup('<img src="data:image/png;base64,{}" width="{}" height="{}" alt="{}">').format(
-            b64encode(png).decode(), round(width_in * _SCREEN_DPI), round(height_in * _SCREEN_DPI), script.title
+            b64encode(png).decode(), round(width_in * SCREEN_DPI), round(height_in * SCREEN_DPI), script.title
         )
         words = Markup("<figcaption><strong>{}.</strong> {}</figcaption>").format(script.title, script.caption)
         return Markup('<figure id="{}">{}{}</figure>').format(name, image, words)
@@ -72,7 +72,7 @@ def make_report(run_dir: Path) -> Path:
     figures = Figures(run, find_scripts(reports), folder / "figures")
     figures.draw_all()
     summary = summarise(run)
-    page = _environment(reports).get_template(PAGE)
+    page = environment(reports).get_template(PAGE)
     text = page.render(
         run=run,
         summary=summary,
@@ -101,7 +101,7 @@ def _write_players(run: RunTables, summary: Summary, folder: Path) -> dict[str, 
     return places
 
 
-def _environment(folder: Path) -> jinja2.Environment:
+def environment(folder: Path) -> jinja2.Environment:
     """Templates of a folder; every string that is put into a page is escaped."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),

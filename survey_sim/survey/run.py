@@ -19,7 +19,7 @@ from survey_sim import __version__, tables
 from survey_sim.errors import InputError
 from survey_sim.folders import PACKAGE
 from survey_sim.instrument import Instrument, Plate
-from survey_sim.schema import SCHEMA_VERSION
+from survey_sim.schema import SCHEMA_VERSION, TABLES
 from survey_sim.survey.batches import Workers
 from survey_sim.survey.settings import PipelineSettings, load_pipeline
 
@@ -65,7 +65,7 @@ class Run:
 
     def table(self, name: str) -> Path:
         """File or folder of a table."""
-        return self.folder / (name if tables.TABLES[name].is_in_parts else f"{name}.parquet")
+        return self.folder / (name if TABLES[name].is_in_parts else f"{name}.parquet")
 
     @contextmanager
     def locked(self) -> Iterator[None]:

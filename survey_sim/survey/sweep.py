@@ -81,6 +81,7 @@ class Member:
     scenario: str
     seed: int
     reference: str
+    order: tuple[str, ...]
     base: Path
     folder: Path
     values_set: Mapping[str, Any]
@@ -98,6 +99,7 @@ class Member:
             "sweep": self.sweep,
             "scenario": self.scenario,
             "reference": self.reference,
+            "order": list(self.order),
             "seed": self.seed,
             "changes": dict(self.values_set),
         }
@@ -160,6 +162,7 @@ def load_sweep(path: Path, out: Path | None = None, changes: Sequence[str] = ())
             scenario=scenario.name,
             seed=seed,
             reference=settings.reference_name,
+            order=tuple(scenario.name for scenario in settings.scenario),
             base=base,
             folder=folder / scenario.name / f"seed-{seed}",
             values_set={**settings.set, **scenario.set},

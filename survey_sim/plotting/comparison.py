@@ -1,0 +1,160 @@
+"""Scenarios side by side as figures see them: the tables of a comparison, and one colour and dash for each scenario."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from survey_sim.errors import InputError
+from survey_sim.folders import data_folder
+from survey_sim.plotting.figures import DEFAULT_DPI, Script, find_scripts, load_script, save_figure
+from survey_sim.plotting.study import ALGORITHM_STYLES
+from survey_sim.plotting.style import DASHES, figure_style, new_figure
+
+# Okabe and Ito's colours, and marks, so that a print in grey is still read.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9", "#E69F00")
+_MARKS = ("o", "s", "^", "D", "v", "P", "X")
+
+# Measures in words, and whether their differences are shown in percentage points.
+WORDS = {
+    "completeness_frac": "completeness at the end",
+    "allocated_frac": "allocated",
+    "completeness_half_time_frac": "completeness at half time",
+    "wanted_reached_after_d": "nights until it is as wanted",
+    "n_tile": "tiles",
+    "n_visit": "visits (configurations)",
+    "science_per_visit": "science targets a visit",
+    "n_pointing": "pointings",
+    "n_pointing_observed": "pointings observed",
+    "n_pointing_failed": "pointings failed",
+    "configuration_median_s": "configuration time, median",
+    "configuration_p95_s": "configuration time, 95 % of visits",
+    "configuration_max_s": "configuration time, slowest",
+    "configuration_95_filter_median_s": "the same, 95 % of robots at rest, median",
+    "within_readout_frac": "visits within the readout",
+    "within_readout_95_filter_frac": "the same with the 95 % filter",
+    "pointing_configuration_median_s": "configuration at the telescope, median",
+    "pointing_within_readout_frac": "pointings within the readout",
+    "bound_ratio_mean": "configuration time / lower bound",
+    "at_bound_frac": "visits at the lower bound",
+    "travel_mean_mm": "mean straight travel",
+    "travel_max_median_mm": "largest travel, median of visits",
+    "crossings_mean": "crossings a visit",
+    "n_unrouted": "unrouted robots",
+    "configuration_alone_h": "time spent on configuration alone",
+    "dark_h": "time between twilights",
+    "weather_lost_h": "lost to weather",
+    "exposing_h": "shutter open",
+    "overhead_h": "overheads",
+    "unused_h": "not used",
+}
+
+
+class ComparisonTables:
+    """The tables of one comparison, or of a run's imprint alone.
+
+    Attributes
+    ----------
+    about
+        `comparison.json`.
+    scenarios
+        Names, the reference first.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        try:
+            self.about: dict[str, Any] = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
+        except (FileNotFoundError, json.JSONDecodeError):
+            remedy = "make one: survey-sim compare RUN_DIR RUN_DIR, or survey-sim imprint RUN_DIR"
+            raise InputError("no comparison here: it has no comparison.json", file=folder, remedy=remedy) from None
+        self.scenarios: list[str] = list(self.about["scenarios"])
+        self._read = cache(lambda name: pl.read_parquet(folder / f"{name}.parquet"))
+
+    @property
+    def reference(self) -> str:
+        """The scenario that the others are compared to."""
+        return self.scenarios[0]
+
+    def has(self, name: str) -> bool:
+        """Whether the comparison has a table."""
+        return (self.folder / f"{name}.parquet").is_file()
+
+    def table(self, name: str, **where: Any) -> pl.DataFrame:
+        """A table, or its rows in which columns have these values."""
+        return self._read(name).filter(**where) if where else self._read(name)
+
+    def programmes(self, name: str) -> list[str]:
+        """Programmes of a table, in alphabetical order."""
+        return self.table(name)["programme"].unique().sort().to_list()
+
+    def style(self, scenario: str) -> dict[str, Any]:
+        """Colour, dashes and mark of a scenario: an allocation algorithm has its own everywhere."""
+        if scenario in ALGORITHM_STYLES:
+            return dict(ALGORITHM_STYLES[scenario])
+        place = self.scenarios.index(scenario)
+        n = len(_COLOURS)
+        return {"color": _COLOURS[place % n], "linestyle": DASHES[place % len(DASHES)], "marker": _MARKS[place % n]}
+
+
+def words_of(measure: str) -> str:
+    """A measure in words."""
+    if measure.startswith("completeness_year_"):
+        return f"completeness after year {measure.split('_')[2]}"
+    return WORDS.get(measure, measure)
+
+
+def draw_comparison(folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[Script, bytes, tuple[float, float]]]:
+    """Draw the scripts of `reports/comparison` (or some) as PNG and PDF into `figures/`; gives each PNG with its inches."""
+    comparison = ComparisonTables(folder)
+    for name, script in find_scripts(data_folder("reports") / "comparison").items():
+        if only and name not in only:
+            continue
+        with figure_style():
+            figure = script.draw(cast(Any, comparison))
+            png = save_figure(figure, folder / "figures" / name, DEFAULT_DPI)
+        yield script, png, tuple(figure.get_size_inches())
+
+
+def comparison_main(script: str) -> None:
+    """Command line of a script: `python reports/comparison/NAME.py COMPARISON_DIR [OUT_DIR]`."""
+    path, arguments = Path(script), sys.argv[1:]
+    if len(arguments) not in {1, 2} or arguments[0].startswith("-"):
+        sys.exit(f"usage: python {script} COMPARISON_DIR [OUT_DIR]\n\n{load_script(path).title}.")
+    folder = Path(arguments[0])
+    stem = (Path(arguments[1]) if len(arguments) == 2 else folder / "figures") / path.stem
+    try:
+        with figure_style():
+            save_figure(load_script(path).draw(cast(Any, ComparisonTables(folder))), stem, DEFAULT_DPI)
+    except InputError as failure:
+        sys.exit(f"error: {failure}")
+    print(f"{stem}.png")
+
+
+def grid_of(n_panel: int, n_column: int, height_in: float, **shared: Any) -> tuple[Figure, list[Axes]]:
+    """A figure with so many panels, row by row; what is left over is not drawn."""
+    n_column = max(1, min(n_column, n_panel))
+    n_row = max(1, -(-n_panel // n_column))
+    figure = new_figure(height_in=height_in * n_row + 0.5)
+    axes = list(figure.subplots(n_row, n_column, squeeze=False, **shared).ravel())
+    for spare in axes[n_panel:]:
+        spare.remove()
+    return figure, axes[:n_panel]
+
+
+def scenario_legend(figure: Figure, axes: Sequence[Axes]) -> None:
+    """One legend above all panels."""
+    handles: dict[str, Any] = {}
+    for one in axes:
+        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if handles:
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))

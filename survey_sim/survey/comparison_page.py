@@ -1,0 +1,142 @@
+"""A comparison in words: aligned text for the terminal, and one HTML page with its figures."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from survey_sim import __version__, tables
+from survey_sim.folders import data_folder
+from survey_sim.plotting import Script
+from survey_sim.plotting.comparison import ComparisonTables, draw_comparison, words_of
+from survey_sim.survey.report import NOTHING, SCREEN_DPI, environment
+
+# What the first table of the page and the text show.
+KEY = (
+    "completeness_frac",
+    "wanted_reached_after_d",
+    "n_visit",
+    "science_per_visit",
+    "n_pointing_observed",
+    "configuration_median_s",
+    "configuration_p95_s",
+    "configuration_max_s",
+    "pointing_within_readout_frac",
+    "bound_ratio_mean",
+    "travel_mean_mm",
+    "crossings_mean",
+    "n_unrouted",
+    "configuration_alone_h",
+    "weather_lost_h",
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Mean of a measure in a scenario, and its difference from the reference, in words."""
+
+    mean: str
+    difference: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measure of all scenarios."""
+
+    of: str
+    measure: str
+    words: str
+    cells: list[Cell]
+
+
+def rows_of(comparison: ComparisonTables) -> Iterator[Row]:
+    """The measures, key ones first, each with a cell a scenario."""
+    table = comparison.table("comparison")
+    known = table["measure"].unique(maintain_order=True).to_list()
+    order = [*(name for name in KEY if name in known), *sorted(name for name in known if name not in KEY)]
+    for measure in order:
+        for of in table.filter(measure=measure)["of"].unique().sort().to_list():
+            own = {row["scenario"]: row for row in table.filter(measure=measure, of=of).iter_rows(named=True)}
+            unit = next(iter(own.values()))["unit"]
+            words = words_of(measure) + (" (%)" if measure.endswith("_frac") else f" ({unit})" if unit else "")
+            yield Row(of, measure, words, [_cell(own.get(name), measure) for name in comparison.scenarios])
+
+
+def text_of(comparison: ComparisonTables, *, is_all: bool = False) -> str:
+    """Aligned text: the scenarios, what they share with the reference, and key (or all) measures."""
+    about = comparison.about
+    lines = [
+        f"{about['title']}: {len(comparison.scenarios)} scenarios, {about['n_seed']} seeds; reference {comparison.reference}"
+    ]
+    lines += [f"  {name}: {words}" for name, words in about["shared"].items()]
+    if about["n_seed"] == 1:
+        lines.append("  one seed: differences have no uncertainty, none is shown")
+    else:
+        lines.append("  differences: mean over seeds of paired differences +- half width of the 95 % t interval")
+    rows = [row for row in rows_of(comparison) if is_all or row.measure in KEY]
+    cells = [["of", "measure", *comparison.scenarios]]
+    for row in rows:
+        cells.append(
+            [row.of, row.words, *(f"{cell.mean} {f'[{cell.difference}]' if cell.difference else ''}" for cell in row.cells)]
+        )
+    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
+    lines += ["  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip() for line in cells]
+    return "\n".join(lines) + "\n"
+
+
+def write_comparison(folder: Path) -> Path:
+    """Draw the figures of a comparison, and write comparison.txt and index.html; gives the page's path."""
+    comparison = ComparisonTables(folder)
+    tables.write_bytes(text_of(comparison, is_all=True).encode(), folder / "comparison.txt")
+    reports = data_folder("reports")
+    rows = list(rows_of(comparison))
+    page = environment(reports / "comparison").get_template("page.html.jinja")
+    text = page.render(
+        title=comparison.about["title"],
+        scenarios=comparison.scenarios,
+        reference=comparison.reference,
+        n_seed=comparison.about["n_seed"],
+        shared=comparison.about["shared"],
+        changes=comparison.about["changes"],
+        key_rows=[row for row in rows if row.measure in KEY],
+        all_rows=rows,
+        figures=[_figure(*drawn) for drawn in draw_comparison(folder)],
+        style=Markup((reports / "page.css").read_text(encoding="utf-8")),
+        version=__version__,
+    )
+    tables.write_bytes(text.encode(), folder / "index.html")
+    return folder / "index.html"
+
+
+def _figure(script: Script, png: bytes, size_in: tuple[float, float]) -> Markup:
+    image = Markup('<img src="data:image/png;base64,{}" width="{}" height="{}" alt="{}">').format(
+        b64encode(png).decode(), *(round(inches * SCREEN_DPI) for inches in size_in), script.title
+    )
+    words = Markup("<figcaption><strong>{}.</strong> {}</figcaption>").format(script.title, script.caption)
+    return Markup('<figure id="{}">{}{}</figure>').format(script.name, image, words)
+
+
+def _cell(row: dict[str, Any] | None, measure: str) -> Cell:
+    if row is None or row["mean"] is None:
+        return Cell(NOTHING, "")
+    scale = 100.0 if measure.endswith("_frac") else 1.0
+    mean = _number(scale * row["mean"])
+    if row["scenario"] == row["reference"] or row["difference"] is None:
+        return Cell(mean, "")
+    difference = _number(scale * row["difference"], sign="+")
+    if row["difference_high"] is not None:
+        difference += f" ± {_number(scale * (row['difference_high'] - row['difference']))}"
+    return Cell(mean, difference)
+
+
+def _number(value: float, sign: str = "") -> str:
+    """Three digits or so: as many decimals as that needs, no sign of a zero."""
+    size = abs(value)
+    decimals = 0 if size >= 1000 else 1 if size >= 100 else 2 if size >= 1 else 3
+    text = f"{value:{sign},.{decimals}f}"
+    return text if float(text.replace(",", "")) != 0.0 else "0"
