@@ -30,10 +30,11 @@ class Planner:
     stand. When something planned was not observed, the visits that remain are planned again, beginning from the old plan.
     """
 
-    def __init__(self, field: Field, rng: np.random.Generator) -> None:
+    def __init__(self, field: Field, rng: np.random.Generator, plan: BoolArray | None = None) -> None:
         self.field = field
         self._state = rng.integers(1, 2**63, size=1, dtype=np.uint64)
-        self._is_planned = np.zeros((field.targets.n_target, 0), dtype=bool)
+        self._is_planned = np.zeros((field.targets.n_target, 0), dtype=bool) if plan is None else plan
+        self._is_short = False
         self._unplanned = np.full(field.targets.n_target, -1, dtype=np.int64)
 
     def __call__(self, field: Field, request: VisitRequest) -> IntArray:
@@ -84,8 +85,9 @@ class Planner:
             if (wider >= 0).sum() <= (visit_of >= 0).sum():
                 break
             n_visit, visit_of, guides = n_visit + more, wider, wider_guides
-        if (kept >= 0).sum() < KEPT_FRAC * (visit_of >= 0).sum():
+        if not self._is_short or (kept >= 0).sum() < KEPT_FRAC * (visit_of >= 0).sum():
             visit_of = search.shorten(n_visit, visit_of, guides)
+            self._is_short = True
         self._is_planned = np.zeros((field.targets.n_target, n_visit), dtype=bool)
         is_placed = visit_of >= 0
         self._is_planned[search.item_target[is_placed], visit_of[is_placed]] = True
@@ -119,10 +121,11 @@ class _Search:
     def visits_of(self, is_planned: BoolArray) -> IntArray:
         """(n_item,) visit of each item in an older plan, or -1."""
         visit_of = np.full(len(self.item_target), -1, dtype=np.int64)
-        begin = np.concatenate([[0], np.cumsum(self.copies)])
-        for target in np.flatnonzero(is_planned.any(axis=1) & (self.copies > 0)):
-            visits = np.flatnonzero(is_planned[target])[: self.copies[target]]
-            visit_of[begin[target] : begin[target] + len(visits)] = visits
+        begin = np.cumsum(self.copies) - self.copies
+        target, visit = np.nonzero(is_planned & (self.copies > 0)[:, None])
+        copy = np.arange(len(target)) - np.searchsorted(target, target)
+        is_wanted = copy < self.copies[target]
+        visit_of[(begin[target] + copy)[is_wanted]] = visit[is_wanted]
         return visit_of
 
     def lack(self, visit_of: IntArray) -> IntArray:

@@ -81,11 +81,13 @@ class Session:
         (n_target,) visits received so far, those before the session included.
     """
 
-    def __init__(self, field: Field, rng: np.random.Generator, n_done: npt.ArrayLike | None) -> None:
+    def __init__(
+        self, field: Field, rng: np.random.Generator, n_done: npt.ArrayLike | None, plan: BoolArray | None = None
+    ) -> None:
         self.field = field
         n_target = field.targets.n_target
         self.n_done = np.zeros(n_target, dtype=np.int64) if n_done is None else np.array(n_done, dtype=np.int64)
-        self._choose = _chooser(field, rng)
+        self._choose = _chooser(field, rng, plan)
         self._n_visit = 0
         self._awaits_record = False
         self._is_pair_open = np.ones(len(field.reach_robot), dtype=bool)
@@ -215,6 +217,7 @@ def start_allocation(
     settings: AllocationSettings,
     rng: np.random.Generator,
     n_done: npt.ArrayLike | None = None,
+    plan: BoolArray | None = None,
 ) -> Session:
     """Begin the visits of one tile.
 
@@ -222,13 +225,17 @@ def start_allocation(
     ----------
     n_done
         (n_target,) visits that each science target has received already (a tile that goes on); none by default.
+    plan
+        (n_target, n_visit) which targets are wanted in which visit, for `plan` to begin from.
     """
-    return Session(make_field(targets, plate, settings), rng, n_done)
+    return Session(make_field(targets, plate, settings), rng, n_done, plan)
 
 
-def _chooser(field: Field, rng: np.random.Generator) -> Choice:
+def _chooser(field: Field, rng: np.random.Generator, plan: BoolArray | None) -> Choice:
     """Who chooses in this tile; what another package's allocator chooses is checked."""
     name = field.settings.algorithm
+    if name == "plan":
+        return Planner(field, rng, plan)
     if name in ALLOCATORS:
         return ALLOCATORS[name](field, rng)
     choose: Choice = load("allocator", name)(field, rng)

@@ -1,0 +1,362 @@
+"""Pooling: how many visits each tile gets, and which of the tiles that see a target takes it.
+
+A whole survey wants a share of its targets, in as few visits as may be. A tile that stops only when it has that share itself ends
+in visits for a handful of targets: those too close to others, or beyond a whole number of visits. Where tiles overlap, a
+neighbour's idle fibres serve them for nothing. So visits are pooled:
+
+1. Each tile begins with as many visits as its targets fill, rounded, and plans them.
+2. What a tile cannot place is offered to all tiles that see it; those with idle fibres plan again, more than they had.
+3. While the survey lacks targets, tiles with the most waiting get one visit more.
+4. While it has more than it wants, the visits that bring the fewest targets are given up.
+
+Tiles that share no target plan at the same time: tiles are coloured so that no two of a colour do, and colours take turns. The
+result depends on no order within a colour, so on no number of workers.
+
+A tile's visits are split in groups (ranges of magnitude, of which one exposure serves one); without ranges there is one.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+# Rounds of steps 3 and 4; the anchors' regions need at most nine (docs/tiling.md).
+_MAX_ROUNDS = 30
+# A target that waits in overlaps is expected to come to each tile that sees it with this chance.
+_SHARED = 0.5
+# Visits are tried to be given up in this share of the tiles at a time: those whose idle fibres come nearest to a visit's.
+_TRIED_FRAC = 0.2
+
+
+@dataclass(frozen=True)
+class Order:
+    """What one tile shall plan.
+
+    Attributes
+    ----------
+    tile
+        Number of the tile.
+    row
+        Science targets that it may place, ascending.
+    n_visit
+        (n_group,) visits of each group.
+    kept
+        Its plan so far.
+    """
+
+    tile: int
+    row: IntArray
+    n_visit: IntArray
+    kept: "Planned"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Plan of one tile: which targets have all their visits, and when.
+
+    Attributes
+    ----------
+    row, group, visit
+        (n,) target, group of visits, and visit in the group, counted from 0; a target wanted k times stands in k rows.
+    """
+
+    row: IntArray
+    group: IntArray
+    visit: IntArray
+
+    @classmethod
+    def empty(cls) -> "Planned":
+        """A plan of nothing."""
+        none = np.empty(0, dtype=np.int64)
+        return cls(none, none, none)
+
+
+PlanTiles = Callable[[Sequence[Order]], Iterable[Planned]]
+
+
+@dataclass
+class Pool:
+    """What is known of one survey's tiles and targets while their visits are pooled. Made by `make_pool`.
+
+    Attributes
+    ----------
+    first, row
+        Lists of the targets on each tile's plate: those of tile t are row[first[t]:first[t + 1]], ascending.
+    home
+        (n_target,) tile at which each target is at home.
+    group
+        (n_target,) last group of visits that may serve it.
+    programme, wanted_visits
+        (n_target,) its programme, and visits that complete it.
+    n_lost
+        (n_programme,) targets that each programme may lose.
+    capacity
+        Science fibres of a visit.
+    min_gain
+        Fewest targets for which a visit is made.
+    n_visit
+        (n_tile, n_group) visits of each tile.
+    is_done
+        (n_target,) whether its home's plan completes it.
+    plans
+        Plan of each tile.
+    """
+
+    first: IntArray
+    row: IntArray
+    home: IntArray
+    group: IntArray
+    programme: IntArray
+    wanted_visits: IntArray
+    n_lost: IntArray
+    capacity: int
+    min_gain: int
+    n_visit: IntArray
+    is_done: BoolArray
+    plans: list[Planned]
+
+    def __post_init__(self) -> None:
+        self.tile = np.repeat(np.arange(self.n_tile), np.diff(self.first))
+        self.colours = _colours(self.tile, self.row, self.n_tile, len(self.home))
+        # Pairs whose target was waiting when the tile planned last: a tile plans again only if others wait now.
+        self._was_offered = np.zeros(len(self.row), dtype=np.bool_)
+
+    @property
+    def n_tile(self) -> int:
+        """Number of tiles."""
+        return len(self.n_visit)
+
+    def lack(self) -> int:
+        """Fibres that the targets wanted but not planned would take, over all programmes."""
+        n = len(self.n_lost)
+        visits = np.bincount(self.programme, weights=self.wanted_visits, minlength=n)
+        mean = visits / np.maximum(np.bincount(self.programme, minlength=n), 1)
+        return int(np.ceil(np.maximum(self._n_waiting() - self.n_lost, 0) * mean).sum())
+
+    def can_spare(self, lost: IntArray) -> bool:
+        """Whether the survey can do without `lost` (n_programme,) of the targets planned.
+
+        A programme that lacks targets although no visit more would help still gives up visits of less than `min_gain`.
+        """
+        spare = self.n_lost - self._n_waiting()
+        return bool((lost <= np.maximum(spare, 0))[spare >= 0].all() and lost[spare < 0].sum() < self.min_gain)
+
+    def _n_waiting(self) -> IntArray:
+        return np.bincount(self.programme[~self.is_done], minlength=len(self.n_lost))
+
+    def own(self, tile: int) -> IntArray:
+        """Targets at home on a tile."""
+        on_plate = self.row[self.first[tile] : self.first[tile + 1]]
+        return on_plate[self.home[on_plate] == tile]
+
+    def order(self, tile: int, *, is_shared: bool = True, n_visit: IntArray | None = None) -> Order:
+        """What a tile shall plan: its own targets and, if it is shared, all that wait elsewhere."""
+        on_plate = self.row[self.first[tile] : self.first[tile + 1]]
+        is_own = self.home[on_plate] == tile
+        may_take = is_own | ~self.is_done[on_plate] if is_shared else is_own
+        return Order(tile, on_plate[may_take], self.n_visit[tile] if n_visit is None else n_visit, self.plans[tile])
+
+    def accept(self, order: Order, planned: Planned) -> None:
+        """Make a tile's new plan its plan."""
+        self.is_done[self.own(order.tile)] = False
+        self.is_done[planned.row] = True
+        self.home[planned.row] = order.tile
+        self.plans[order.tile] = planned
+        self.n_visit[order.tile] = order.n_visit
+        pairs = slice(self.first[order.tile], self.first[order.tile + 1])
+        self._was_offered[pairs] = ~self.is_done[self.row[pairs]]
+
+    def idle(self) -> IntArray:
+        """(n_tile, n_group) science fibres of the planned visits without a target."""
+        used = np.zeros_like(self.n_visit)
+        for tile, planned in enumerate(self.plans):
+            used[tile] = np.bincount(planned.group, minlength=used.shape[1])
+        return self.n_visit * self.capacity - used
+
+    def waiting(self) -> FloatArray:
+        """(n_tile, n_group) fibres that targets waiting on each plate would take; those at home elsewhere count in part.
+
+        Only targets of programmes that lack some count.
+        """
+        is_lacking = self._n_waiting() > self.n_lost
+        pairs = np.flatnonzero(~self.is_done[self.row] & is_lacking[self.programme[self.row]])
+        row, tile = self.row[pairs], self.tile[pairs]
+        n_group = self.n_visit.shape[1]
+        weight = self.wanted_visits[row] * np.where(self.home[row] == tile, 1.0, _SHARED)
+        slot = tile * n_group + self.group[row]
+        return np.bincount(slot, weights=weight, minlength=self.n_tile * n_group).reshape(self.n_tile, n_group)
+
+    def is_offered_more(self) -> BoolArray:
+        """(n_tile,) tiles with idle fibres on whose plates targets wait that did not when they planned last."""
+        is_new = ~self.is_done[self.row] & ~self._was_offered
+        n_new = np.bincount(self.tile[is_new], minlength=self.n_tile)
+        return (n_new > 0) & (self.idle() > 0).any(axis=1)
+
+
+def make_pool(
+    pairs: tuple[IntArray, IntArray],
+    home: IntArray,
+    n_tile: int,
+    *,
+    group: IntArray,
+    programme: IntArray,
+    wanted_visits: IntArray,
+    wanted_frac: FloatArray,
+    capacity: int,
+    min_gain: int,
+) -> Pool:
+    """A pool whose tiles have as many visits as the targets at home on them fill, rounded, and no plan yet.
+
+    Parameters
+    ----------
+    pairs
+        Target and tile of each pair of which the target lies on the tile's plate.
+    home
+        (n_target,) tile at which each target is at home at first.
+    group, programme, wanted_visits
+        (n_target,) see `Pool`.
+    wanted_frac
+        (n_programme,) completeness wanted.
+    capacity
+        Science fibres of a visit.
+    min_gain
+        Fewest targets for which a visit is made.
+    """
+    row, tile = pairs
+    by_tile = np.lexsort((row, tile))
+    n_group = int(group.max(initial=0)) + 1
+    load = np.bincount(home * n_group + group, weights=wanted_visits * wanted_frac[programme], minlength=n_tile * n_group)
+    n_target = np.bincount(programme, minlength=len(wanted_frac))
+    return Pool(
+        first=np.searchsorted(tile[by_tile], np.arange(n_tile + 1)),
+        row=row[by_tile],
+        home=home.copy(),
+        group=group,
+        programme=programme,
+        wanted_visits=wanted_visits,
+        n_lost=n_target - np.ceil(n_target * wanted_frac - 1e-9).astype(np.int64),
+        capacity=max(1, capacity),
+        min_gain=min_gain,
+        n_visit=np.round(load / max(1, capacity)).astype(np.int64).reshape(n_tile, n_group),
+        is_done=np.zeros(len(home), dtype=np.bool_),
+        plans=[Planned.empty() for _ in range(n_tile)],
+    )
+
+
+def pool_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
+    """Settle visits, homes and plans of a pool (changed in place).
+
+    Parameters
+    ----------
+    plan_tiles
+        Plans of tiles that share no target, in the order asked: the only work that takes time, and may be done in parallel.
+    """
+    _sweep(pool, np.ones(pool.n_tile, dtype=np.bool_), plan_tiles)
+    _sweep(pool, pool.is_offered_more(), plan_tiles)
+    is_vain = np.zeros(pool.n_visit.shape, dtype=np.bool_)
+    for _ in range(_MAX_ROUNDS):
+        if not _grow(pool, is_vain, plan_tiles):
+            break
+        _sweep(pool, pool.is_offered_more(), plan_tiles)
+    is_needed = np.zeros(pool.n_visit.shape, dtype=np.bool_)
+    for _ in range(_MAX_ROUNDS):
+        if not _shrink(pool, is_needed, plan_tiles):
+            break
+        _sweep(pool, pool.is_offered_more(), plan_tiles)
+
+
+def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
+    """Plan the chosen tiles again, colour by colour."""
+    for colour in range(pool.colours.max(initial=-1) + 1):
+        tiles = np.flatnonzero(is_chosen & (pool.colours == colour))
+        orders = [pool.order(tile) for tile in tiles if pool.n_visit[tile].any()]
+        for order, planned in zip(orders, plan_tiles(orders), strict=True):
+            pool.accept(order, planned)
+
+
+def _grow(pool: Pool, is_vain: BoolArray, plan_tiles: PlanTiles) -> bool:
+    """Give one visit more to the tiles with the most waiting, until nothing is lacking; false if none is left to try.
+
+    `is_vain` marks tiles and groups that gained too little by it; they are not tried again.
+    """
+    lack = pool.lack()
+    if not lack:
+        return False
+    waiting = np.where(is_vain, 0.0, np.minimum(pool.waiting(), pool.capacity))
+    group, most = waiting.argmax(axis=1), waiting.max(axis=1)
+    tiles = np.argsort(-most, kind="stable")
+    tiles = tiles[most[tiles] >= pool.min_gain]
+    tiles = tiles[: np.searchsorted(np.cumsum(most[tiles]), lack) + 1]
+    is_chosen = np.zeros(pool.n_tile, dtype=np.bool_)
+    is_chosen[tiles] = True
+    for colour in range(pool.colours.max(initial=-1) + 1):
+        now = np.flatnonzero(is_chosen & (pool.colours == colour))
+        orders = [pool.order(tile, n_visit=pool.n_visit[tile] + _one(pool, group[tile])) for tile in now]
+        for order, planned in zip(orders, plan_tiles(orders), strict=True):
+            gain = len(np.unique(planned.row)) - int(pool.is_done[pool.own(order.tile)].sum())
+            if gain >= pool.min_gain:
+                pool.accept(order, planned)
+            else:
+                is_vain[order.tile, group[order.tile]] = True
+    return bool(len(tiles))
+
+
+def _shrink(pool: Pool, is_needed: BoolArray, plan_tiles: PlanTiles) -> bool:
+    """Give up the visits that bring the fewest targets, as far as the survey can spare them; false if there are none.
+
+    `is_needed` marks tiles and groups whose visit cannot be spared; they are not tried again.
+    """
+    idle = np.where((pool.n_visit > 0) & ~is_needed, pool.idle(), -1)
+    group, most = idle.argmax(axis=1), idle.max(axis=1)
+    tiles = np.argsort(-most, kind="stable")
+    tiles = tiles[most[tiles] >= 0][: max(1, round(_TRIED_FRAC * pool.n_tile))]
+    orders = [pool.order(t, is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
+    trials = []
+    for order, planned in zip(orders, plan_tiles(orders), strict=True):
+        own = pool.own(order.tile)
+        lost = own[pool.is_done[own] & ~np.isin(own, planned.row)]
+        trials.append((len(lost), order.tile, order, planned, np.bincount(pool.programme[lost], minlength=len(pool.n_lost))))
+    is_changed = False
+    for _, tile, order, planned, lost in sorted(trials, key=lambda trial: trial[:2]):
+        if pool.can_spare(lost):
+            pool.accept(order, planned)
+            is_changed = True
+        else:
+            is_needed[tile, group[tile]] = True
+    return is_changed
+
+
+def _one(pool: Pool, group: int) -> IntArray:
+    return (np.arange(pool.n_visit.shape[1]) == group).astype(np.int64)
+
+
+def _colours(tile: IntArray, row: IntArray, n_tile: int, n_target: int) -> IntArray:
+    """(n_tile,) colours of the tiles, so that no two with a target in common have the same: most neighbours first."""
+    near = _neighbours(tile, row, n_tile, n_target)
+    colours = np.full(n_tile, -1, dtype=np.int64)
+    for t in np.argsort([-len(around) for around in near], kind="stable"):
+        taken = set(colours[near[t]].tolist())
+        colours[t] = next(colour for colour in range(n_tile) if colour not in taken)
+    return colours
+
+
+def _neighbours(tile: IntArray, row: IntArray, n_tile: int, n_target: int) -> list[IntArray]:
+    """Tiles that have a target in common with each tile."""
+    by_row = np.argsort(row, kind="stable")
+    tile = tile[by_row]
+    first = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n_target))])
+    found = [np.empty(0, dtype=np.int64)]
+    most = int(np.diff(first).max(initial=0))
+    for step in range(1, most):
+        here = np.arange(max(0, len(tile) - step))
+        is_same = row[by_row[here]] == row[by_row[here + step]]
+        a, b = tile[here[is_same]], tile[here[is_same] + step]
+        found.append(np.unique(np.concatenate([a * n_tile + b, b * n_tile + a])))
+    both = np.unique(np.concatenate(found))
+    ends = np.searchsorted(both // max(n_tile, 1), np.arange(n_tile + 1))
+    return [both[ends[t] : ends[t + 1]] % max(n_tile, 1) for t in range(n_tile)]
