@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from zlib import crc32
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 
 from survey_sim.allocation import AllocationSettings, FieldTargets, Minima, start_allocation
@@ -93,6 +94,11 @@ def magnitude_groups(
         next_bright = bright[number + 1] if number + 1 < len(ranges) else np.inf
         is_last = (field.mag[chosen] < next_bright) | (next_bright == np.inf)
         yield chosen, _chosen(field, chosen, is_filler=field.is_science[chosen] & ~is_last)
+
+
+def last_group(mag: FloatArray, ranges: tuple[tuple[float, float], ...]) -> npt.NDArray[np.int64]:
+    """(n_target,) the last magnitude range that may serve targets of these magnitudes, NaN where unknown; it completes them."""
+    return np.searchsorted([low for low, _ in ranges[1:]], mag, side="right").astype(np.int64)
 
 
 def _chosen(field: FieldTargets, chosen: np.ndarray, *, is_filler: np.ndarray) -> FieldTargets:

@@ -6,7 +6,7 @@ a target takes it; `members` lists the calibration targets on each plate.
 
 from survey_sim.tiling.grid import COVERING_DENSITY, covering, icosahedral_grid
 from survey_sim.tiling.pool import Order, Planned, Pool, make_pool, pool_visits
-from survey_sim.tiling.tiles import Members, TilingSettings, make_tiles, members, pairs_within
+from survey_sim.tiling.tiles import Members, TilingSettings, make_tiles, members, pairs_within, plate_pairs
 
 __all__ = [
     "COVERING_DENSITY",
@@ -21,5 +21,6 @@ __all__ = [
     "make_tiles",
     "members",
     "pairs_within",
+    "plate_pairs",
     "pool_visits",
 ]

@@ -16,7 +16,7 @@ A tile's visits are split in groups (ranges of magnitude, of which one exposure 
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +25,15 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-# Rounds of steps 3 and 4; the anchors' regions need at most nine (docs/tiling.md).
-_MAX_ROUNDS = 30
+# Steps 3 and 4 take turns so many times at most, each in so many rounds at most.
+_MAX_CYCLES = 4
+_MAX_ROUNDS = 40
+# Visits of one round bring at least so much of what the best of them does.
+_KEPT_FRAC = 0.6
 # A target that waits in overlaps is expected to come to each tile that sees it with this chance.
 _SHARED = 0.5
+# Step 3 goes on to so much more than the completeness wanted: what overlaps then serve for nothing lets step 4 give up more.
+_BEYOND_FRAC = 0.01
 # Visits are tried to be given up in this share of the tiles at a time: those whose idle fibres come nearest to a visit's.
 _TRIED_FRAC = 0.2
 
@@ -122,7 +127,8 @@ class Pool:
 
     def __post_init__(self) -> None:
         self.tile = np.repeat(np.arange(self.n_tile), np.diff(self.first))
-        self.colours = _colours(self.tile, self.row, self.n_tile, len(self.home))
+        self.near = _neighbours(self.tile, self.row, self.n_tile, len(self.home))
+        self.colours = _colours(self.near)
         # Pairs whose target was waiting when the tile planned last: a tile plans again only if others wait now.
         self._was_offered = np.zeros(len(self.row), dtype=np.bool_)
 
@@ -132,11 +138,12 @@ class Pool:
         return len(self.n_visit)
 
     def lack(self) -> int:
-        """Fibres that the targets wanted but not planned would take, over all programmes."""
+        """Fibres that the targets wanted but not planned would take, over all programmes; some more than wanted."""
         n = len(self.n_lost)
-        visits = np.bincount(self.programme, weights=self.wanted_visits, minlength=n)
-        mean = visits / np.maximum(np.bincount(self.programme, minlength=n), 1)
-        return int(np.ceil(np.maximum(self._n_waiting() - self.n_lost, 0) * mean).sum())
+        n_target = np.bincount(self.programme, minlength=n)
+        mean = np.bincount(self.programme, weights=self.wanted_visits, minlength=n) / np.maximum(n_target, 1)
+        may_wait = np.maximum(self.n_lost - _BEYOND_FRAC * n_target, 0)
+        return int(np.ceil(np.maximum(self._n_waiting() - may_wait, 0) * mean).sum())
 
     def can_spare(self, lost: IntArray) -> bool:
         """Whether the survey can do without `lost` (n_programme,) of the targets planned.
@@ -145,6 +152,19 @@ class Pool:
         """
         spare = self.n_lost - self._n_waiting()
         return bool((lost <= np.maximum(spare, 0))[spare >= 0].all() and lost[spare < 0].sum() < self.min_gain)
+
+    def count(self, row: IntArray) -> IntArray:
+        """(n_programme,) targets of each programme among these."""
+        return np.bincount(self.programme[row], minlength=len(self.n_lost))
+
+    def copy(self) -> "Pool":
+        """What the pool has settled so far."""
+        changing = {name: getattr(self, name).copy() for name in ("home", "n_visit", "is_done", "plans")}
+        return replace(self, **changing)
+
+    def restore(self, kept: "Pool") -> None:
+        """Go back to what was settled before."""
+        self.home, self.n_visit, self.is_done, self.plans = kept.home, kept.n_visit, kept.is_done, kept.plans
 
     def _n_waiting(self) -> IntArray:
         return np.bincount(self.programme[~self.is_done], minlength=len(self.n_lost))
@@ -183,7 +203,7 @@ class Pool:
 
         Only targets of programmes that lack some count.
         """
-        is_lacking = self._n_waiting() > self.n_lost
+        is_lacking = self._n_waiting() > self.n_lost - _BEYOND_FRAC * np.bincount(self.programme, minlength=len(self.n_lost))
         pairs = np.flatnonzero(~self.is_done[self.row] & is_lacking[self.programme[self.row]])
         row, tile = self.row[pairs], self.tile[pairs]
         n_group = self.n_visit.shape[1]
@@ -254,24 +274,21 @@ def pool_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
     Parameters
     ----------
     plan_tiles
-        Plans of tiles that share no target, in the order asked: the only work that takes time, and may be done in parallel.
+        Plans of several tiles, in the order asked: the only work that takes time, and may be done in parallel.
     """
     _sweep(pool, np.ones(pool.n_tile, dtype=np.bool_), plan_tiles)
-    _sweep(pool, pool.is_offered_more(), plan_tiles)
-    is_vain = np.zeros(pool.n_visit.shape, dtype=np.bool_)
-    for _ in range(_MAX_ROUNDS):
-        if not _grow(pool, is_vain, plan_tiles):
+    best = None
+    for _ in range(_MAX_CYCLES):
+        _grow(pool, plan_tiles)
+        _shrink(pool, plan_tiles)
+        if best is not None and pool.n_visit.sum() >= best.n_visit.sum():
+            pool.restore(best)
             break
-        _sweep(pool, pool.is_offered_more(), plan_tiles)
-    is_needed = np.zeros(pool.n_visit.shape, dtype=np.bool_)
-    for _ in range(_MAX_ROUNDS):
-        if not _shrink(pool, is_needed, plan_tiles):
-            break
-        _sweep(pool, pool.is_offered_more(), plan_tiles)
+        best = pool.copy()
 
 
 def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
-    """Plan the chosen tiles again, colour by colour."""
+    """Plan the chosen tiles again, colour by colour: those of a colour share no target."""
     for colour in range(pool.colours.max(initial=-1) + 1):
         tiles = np.flatnonzero(is_chosen & (pool.colours == colour))
         orders = [pool.order(tile) for tile in tiles if pool.n_visit[tile].any()]
@@ -279,69 +296,78 @@ def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
             pool.accept(order, planned)
 
 
-def _grow(pool: Pool, is_vain: BoolArray, plan_tiles: PlanTiles) -> bool:
-    """Give one visit more to the tiles with the most waiting, until nothing is lacking; false if none is left to try.
+def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
+    """Give visits to the tiles where they bring the most, until the survey has somewhat more than it wants.
 
-    `is_vain` marks tiles and groups that gained too little by it; they are not tried again.
+    What a visit brought when it was tried last stands for what it may bring: it seldom brings more later.
     """
-    lack = pool.lack()
-    if not lack:
-        return False
-    waiting = np.where(is_vain, 0.0, np.minimum(pool.waiting(), pool.capacity))
-    group, most = waiting.argmax(axis=1), waiting.max(axis=1)
-    tiles = np.argsort(-most, kind="stable")
-    tiles = tiles[most[tiles] >= pool.min_gain]
-    tiles = tiles[: np.searchsorted(np.cumsum(most[tiles]), lack) + 1]
-    is_chosen = np.zeros(pool.n_tile, dtype=np.bool_)
-    is_chosen[tiles] = True
-    for colour in range(pool.colours.max(initial=-1) + 1):
-        now = np.flatnonzero(is_chosen & (pool.colours == colour))
-        orders = [pool.order(tile, n_visit=pool.n_visit[tile] + _one(pool, group[tile])) for tile in now]
+    most = np.full(pool.n_visit.shape, float(pool.capacity))
+    for _ in range(_MAX_ROUNDS):
+        lack = pool.lack()
+        hope = np.minimum(pool.waiting(), most)
+        group, hope = hope.argmax(axis=1), hope.max(axis=1)
+        tiles = np.argsort(-hope, kind="stable")
+        tiles = tiles[hope[tiles] >= pool.min_gain]
+        if not lack or not len(tiles):
+            return
+        tiles = tiles[: 2 * np.searchsorted(np.cumsum(hope[tiles]), lack) + 4]
+        orders = [pool.order(tile, n_visit=pool.n_visit[tile] + _one(pool, group[tile])) for tile in tiles]
+        trials = []
         for order, planned in zip(orders, plan_tiles(orders), strict=True):
-            gain = len(np.unique(planned.row)) - int(pool.is_done[pool.own(order.tile)].sum())
-            if gain >= pool.min_gain:
+            gain = len(planned.row) - len(pool.plans[order.tile].row)
+            most[order.tile, group[order.tile]] = gain
+            trials.append((-gain, order.tile, order, planned))
+        trials.sort(key=lambda trial: trial[:2])
+        least = max(pool.min_gain, -_KEPT_FRAC * trials[0][0])
+        is_shut = np.zeros(pool.n_tile, dtype=np.bool_)
+        for loss, tile, order, planned in trials:
+            if -loss >= least and not is_shut[tile] and lack > 0:
                 pool.accept(order, planned)
-            else:
-                is_vain[order.tile, group[order.tile]] = True
-    return bool(len(tiles))
+                is_shut[pool.near[tile]] = True
+                lack += loss
+        _sweep(pool, pool.is_offered_more(), plan_tiles)
 
 
-def _shrink(pool: Pool, is_needed: BoolArray, plan_tiles: PlanTiles) -> bool:
-    """Give up the visits that bring the fewest targets, as far as the survey can spare them; false if there are none.
-
-    `is_needed` marks tiles and groups whose visit cannot be spared; they are not tried again.
-    """
-    idle = np.where((pool.n_visit > 0) & ~is_needed, pool.idle(), -1)
-    group, most = idle.argmax(axis=1), idle.max(axis=1)
-    tiles = np.argsort(-most, kind="stable")
-    tiles = tiles[most[tiles] >= 0][: max(1, round(_TRIED_FRAC * pool.n_tile))]
-    orders = [pool.order(t, is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
-    trials = []
-    for order, planned in zip(orders, plan_tiles(orders), strict=True):
-        own = pool.own(order.tile)
-        lost = own[pool.is_done[own] & ~np.isin(own, planned.row)]
-        trials.append((len(lost), order.tile, order, planned, np.bincount(pool.programme[lost], minlength=len(pool.n_lost))))
-    is_changed = False
-    for _, tile, order, planned, lost in sorted(trials, key=lambda trial: trial[:2]):
-        if pool.can_spare(lost):
-            pool.accept(order, planned)
-            is_changed = True
-        else:
-            is_needed[tile, group[tile]] = True
-    return is_changed
+def _shrink(pool: Pool, plan_tiles: PlanTiles) -> None:
+    """Give up the visits that bring the fewest targets, as far as the survey can spare them."""
+    least = np.zeros(pool.n_visit.shape)
+    for _ in range(_MAX_ROUNDS):
+        loss = np.maximum(pool.capacity - pool.idle(), least).astype(np.float64)
+        loss[pool.n_visit == 0] = np.inf
+        group, loss = loss.argmin(axis=1), loss.min(axis=1)
+        tiles = np.argsort(loss, kind="stable")[: max(4, round(_TRIED_FRAC * pool.n_tile))]
+        tiles = tiles[np.isfinite(loss[tiles])]
+        orders = [pool.order(t, is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
+        trials = []
+        for order, planned in zip(orders, plan_tiles(orders), strict=True):
+            own = pool.own(order.tile)
+            lost = own[pool.is_done[own] & ~np.isin(own, planned.row)]
+            least[order.tile, group[order.tile]] = len(lost)
+            trials.append((len(lost), order.tile, order, planned, pool.count(lost)))
+        trials.sort(key=lambda trial: trial[:2])
+        is_shut = np.zeros(pool.n_tile, dtype=np.bool_)
+        n_accepted = 0
+        for n_lost, tile, order, planned, lost in trials:
+            if not is_shut[tile] and n_lost <= 2 * trials[0][0] + pool.min_gain and pool.can_spare(lost):
+                pool.accept(order, planned)
+                is_shut[pool.near[tile]] = True
+                n_accepted += 1
+        if not n_accepted:
+            return
+        least[is_shut] = 0.0
+        _sweep(pool, pool.is_offered_more(), plan_tiles)
 
 
 def _one(pool: Pool, group: int) -> IntArray:
     return (np.arange(pool.n_visit.shape[1]) == group).astype(np.int64)
 
 
-def _colours(tile: IntArray, row: IntArray, n_tile: int, n_target: int) -> IntArray:
+def _colours(near: list[IntArray]) -> IntArray:
     """(n_tile,) colours of the tiles, so that no two with a target in common have the same: most neighbours first."""
-    near = _neighbours(tile, row, n_tile, n_target)
-    colours = np.full(n_tile, -1, dtype=np.int64)
+    colours = np.full(len(near), -1, dtype=np.int64)
     for t in np.argsort([-len(around) for around in near], kind="stable"):
         taken = set(colours[near[t]].tolist())
-        colours[t] = next(colour for colour in range(n_tile) if colour not in taken)
+        colours[t] = next(colour for colour in range(len(near)) if colour not in taken)
     return colours
 
 

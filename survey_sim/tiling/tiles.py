@@ -205,6 +205,14 @@ def members(tiles: pl.DataFrame, targets: pl.DataFrame, field_radius_deg: float)
     return Members(np.searchsorted(place[order], np.arange(tiles.height + 1)), row[order])
 
 
+def plate_pairs(targets: pl.DataFrame, tiles: pl.DataFrame, radius_deg: float) -> tuple[IntArray, IntArray]:
+    """Rows of targets and tiles, pair by pair, that are no further apart than an angle, as a target from its home."""
+    points = unit_vectors(targets["ra_deg"].to_numpy(), targets["dec_deg"].to_numpy())
+    centres = unit_vectors(tiles["ra_deg"].to_numpy(), tiles["dec_deg"].to_numpy())
+    target, tile, _ = pairs_within(points, cKDTree(centres), radius_deg * (1.0 - _EDGE))
+    return target, tile
+
+
 def pairs_within(points: FloatArray, centres: cKDTree, radius_deg: float) -> tuple[IntArray, IntArray, FloatArray]:
     """All pairs of a point and a centre no further apart than an angle.
 

@@ -1,0 +1,125 @@
+"""Workers: this process, other processes on this machine, or a dask cluster. They are started when first needed.
+
+What a stage gives them are functions of plain values, so that the result depends neither on who did the work nor on its order.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from survey_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client, LocalCluster
+
+# Tasks handed out ahead of what is taken back, for each worker: enough to keep them busy, few enough to bound memory.
+AHEAD = 2
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+@dataclass
+class Workers:
+    """Who does the work: this process (n = 0), n processes on this machine, or those of a dask scheduler."""
+
+    n: int = 0
+    scheduler: str | None = None
+    _client: Client | None = field(default=None, repr=False)
+    _cluster: LocalCluster | None = field(default=None, repr=False)
+
+    @property
+    def are_elsewhere(self) -> bool:
+        """Whether there are processes besides this one."""
+        return self.n > 0 or self.scheduler is not None
+
+    def stream(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        """Results of the tasks as they come; a bounded number is under way.
+
+        Raises
+        ------
+        InputError
+            The scheduler cannot be reached, or has gone away; results given before are whole.
+        """
+        if not self.are_elsewhere or (self.scheduler is None and len(tasks) <= 1):
+            yield from map(function, tasks)
+            return
+        from distributed import as_completed  # noqa: PLC0415
+        from distributed.client import FutureCancelledError  # noqa: PLC0415
+
+        client = self._open()
+        waiting = iter(tasks)
+        futures: Any = as_completed()
+
+        def submit_next() -> None:
+            for task in waiting:
+                futures.add(client.submit(function, task, pure=False, retries=2))
+                return
+
+        for _ in range(AHEAD * max(1, len(client.scheduler_info()["workers"]))):
+            submit_next()
+        for future in futures:
+            try:
+                result = future.result()
+            except FutureCancelledError:
+                raise InputError(
+                    "the scheduler has gone away", place="--scheduler", remedy="run again: finished tiles are kept"
+                ) from None
+            future.release()
+            submit_next()
+            yield result
+
+    def close(self) -> None:
+        """End the processes that were started, or leave the cluster."""
+        if self._client is not None:
+            with suppress(TimeoutError):
+                self._client.close()
+        if self._cluster is not None:
+            with suppress(TimeoutError):
+                self._cluster.close(timeout=5)
+        self._client = self._cluster = None
+
+    def _open(self) -> Client:
+        if self._client is None:
+            _quiet_dask()
+            self._client = self._join() if self.scheduler is not None else self._start()
+        return self._client
+
+    def _join(self) -> Client:
+        from distributed import Client  # noqa: PLC0415
+
+        try:
+            return Client(self.scheduler, timeout=10)
+        except (OSError, TimeoutError, ValueError) as failure:
+            rule = f"no dask scheduler at {self.scheduler}: {failure}"
+            raise InputError(rule, place="--scheduler", remedy="start one with `dask scheduler`, or use --workers") from None
+
+    def _start(self) -> Client:
+        from distributed import Client, LocalCluster  # noqa: PLC0415
+
+        self._cluster = LocalCluster(
+            n_workers=self.n,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,
+        )
+        return Client(self._cluster)
+
+
+def _quiet_dask() -> None:
+    """Library settings that keep the terminal ours and the workers small."""
+    import dask  # noqa: PLC0415
+
+    # A worker that kernels keep busy is no fault; libraries of a worker shall not start threads of their own.
+    dask.config.set({"distributed.worker.daemon": True, "distributed.admin.tick.limit": "1h"})
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"):
+        os.environ.setdefault(name, "1")
+    for name in ("distributed", "distributed.worker", "distributed.nanny", "distributed.scheduler", "distributed.core"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
