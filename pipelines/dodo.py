@@ -35,11 +35,12 @@ def make_stages(run: Run) -> Iterator[Stage]:
     page = run.folder / "report" / "index.html"
 
     yield stage("targets", stages.select_targets, stages.catalogue_files(run), [selected, *files("rejected")])
-    yield stage("tiles", stages.place_tiles, [selected], files(*sky))
+    yield stage("tiles", stages.place_tiles, [selected], stages.covered_paths(run))
+    yield stage("pool", stages.pool_tiles, stages.covered_paths(run), [*files(*sky), stages.plans_path(run)])
     yield stage(
         "visits",
         stages.simulate_visits,
-        files(*sky),
+        [*files(*sky), stages.plans_path(run)],
         files("robots", *stages.GATHERED),
         is_whole=lambda: stages.are_parts_whole(run),
     )

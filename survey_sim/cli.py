@@ -65,10 +65,10 @@ def run(
 ) -> None:
     """Run a whole pipeline or a file of scenarios, or what is out of date of it."""
     from survey_sim.folders import find_pipeline
-    from survey_sim.survey.batches import Workers
     from survey_sim.survey.engine import plan_stages, run_stages
     from survey_sim.survey.run import open_run
     from survey_sim.survey.sweep import is_sweep
+    from survey_sim.survey.workers import Workers
 
     if sum([workers is not None, scheduler is not None, serial]) > 1:
         raise InputError("exclude each other", place="--workers, --scheduler, --serial", remedy="give one of them")

@@ -13,11 +13,11 @@ from survey_sim.conformance import check_allocator, check_router
 from survey_sim.conformance import main as conformance
 from survey_sim.errors import InputError
 from survey_sim.routing import RoutingSettings
-from survey_sim.survey.batches import Workers
 from survey_sim.survey.engine import load_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.specimen import write_specimen
 from survey_sim.survey.stages import parameters
+from survey_sim.survey.workers import Workers
 
 PACKAGE = Path(__file__).parent / "extension_package"
 # Routers that are wrong in one way each.
@@ -143,7 +143,8 @@ def test_workers_import_them(packages: Path, tmp_path: Path) -> None:
     sections = '[routing]\nrouter = "one-at-a-time"\n[allocation]\nalgorithm = "brightest-first"\nvisits = 1\n'
     pipeline = write_specimen(tmp_path, f"{sections}[output]\ntiles_per_part = 1\n", n_star=60, width_deg=9.0)
     made = [
-        run_stages(open_run(pipeline, Workers(n), tmp_path / f"run-{n}"), ("targets", "tiles", "visits")) for n in (0, 2)
+        run_stages(open_run(pipeline, Workers(n), tmp_path / f"run-{n}"), ("targets", "tiles", "pool", "visits"))
+        for n in (0, 2)
     ]
     legs = [tables.read(run, "legs") for run in made]
     assert legs[0]["tile_id"].n_unique() >= 2, "one tile would be done in this process"

@@ -87,7 +87,7 @@ def test_run_record_holds_what_a_reader_needs(finished: Path, pipeline: Path) ->
     assert record["instrument"]["min_separation_mm"] == 9.0
     assert record["settings"]["schedule"]["end_date"] == "2016-10-12"
     assert record["seed"] == 7
-    assert set(record["stages"]) == {"targets", "tiles", "visits", "schedule", "report"}
+    assert set(record["stages"]) == {"targets", "tiles", "pool", "visits", "schedule", "report"}
     assert all(stage["wall_s"] >= 0 and stage["cpu_s"] >= 0 for stage in record["stages"].values())
     digest = tables.checksum(pipeline.parent / "stars.csv")
     assert digest in record["catalogues"]["sha256"].values()
@@ -162,7 +162,7 @@ def test_nothing_runs_twice(pipeline: Path, copy: Path) -> None:
     [
         ("schedule.site.height_m=1200", ["schedule", "report"]),
         ("routing.router='coordinated'", ["visits", "schedule", "report"]),
-        ("programme.faint.mag_faint=11.5", ["targets", "tiles", "visits", "schedule", "report"]),
+        ("programme.faint.mag_faint=11.5", ["targets", "tiles", "pool", "visits", "schedule", "report"]),
         ("report.title='Mine'", ["report"]),
     ],
 )
@@ -187,7 +187,7 @@ def test_a_changed_catalogue_runs_everything(copy: Path, tmp_path: Path, pipelin
 def test_dry_run_writes_nothing(pipeline: Path, tmp_path: Path) -> None:
     out = tmp_path / "none"
     plan = _plan(pipeline, out)
-    assert list(plan) == ["targets", "tiles", "visits", "schedule", "report"]
+    assert list(plan) == ["targets", "tiles", "pool", "visits", "schedule", "report"]
     assert all(plan.values())
     assert not out.exists()
 

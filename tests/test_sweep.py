@@ -13,11 +13,11 @@ from survey_sim.check import check_run
 from survey_sim.cli import app
 from survey_sim.errors import InputError
 from survey_sim.schema import TABLES
-from survey_sim.survey.batches import Workers
 from survey_sim.survey.engine import run_stages
 from survey_sim.survey.run import open_run
 from survey_sim.survey.settings import load_pipeline
 from survey_sim.survey.sweep import is_sweep, load_sweep, plan_sweep, run_sweep
+from survey_sim.survey.workers import Workers
 from tests.small_survey import write_small_survey
 
 SWEEP = """

@@ -67,7 +67,7 @@ class Stage:
     Attributes
     ----------
     action
-        What it does; may give CPU seconds spent elsewhere as `{"cpu_s": ...}`.
+        What it does.
     needs, makes
         Files it reads, whose contents count, and files it writes.
     unchanged
@@ -77,7 +77,7 @@ class Stage:
     """
 
     name: str
-    action: Callable[[Run], Mapping[str, float] | None]
+    action: Callable[[Run], None]
     needs: tuple[Path, ...]
     makes: tuple[Path, ...]
     unchanged: tuple[Unchanged, ...]
@@ -108,17 +108,24 @@ def run_stages(run: Run, store: Store | None = None, skipped: Collection[str] = 
     skipped
         Names of stages that are not wanted.
     """
-    for number, stage in enumerate(stage for stage in load_stages(run) if stage.name not in skipped):
-        reasons, task = _status(run, stage)
-        if not reasons:
-            run.console.print(f"[dim]{stage.name}: up to date[/dim]")
-        elif store is None:
-            run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
-            _execute(run, stage, task)
-        else:
-            _share(run, stage, task, store, reasons)
-        if number == 0:
-            run.record_settings()
+    try:
+        for number, stage in enumerate(stage for stage in load_stages(run) if stage.name not in skipped):
+            _bring_up_to_date(run, stage, store)
+            if number == 0:
+                run.record_settings()
+    finally:
+        run.workers.close()
+
+
+def _bring_up_to_date(run: Run, stage: Stage, store: Store | None) -> None:
+    reasons, task = _status(run, stage)
+    if not reasons:
+        run.console.print(f"[dim]{stage.name}: up to date[/dim]")
+    elif store is None:
+        run.console.print(f"[bold]{stage.name}[/bold] ({'; '.join(reasons)})")
+        _execute(run, stage, task)
+    else:
+        _share(run, stage, task, store, reasons)
 
 
 def _execute(run: Run, stage: Stage, task: Task) -> None:
@@ -127,9 +134,8 @@ def _execute(run: Run, stage: Stage, task: Task) -> None:
 
 
 def _act(run: Run, stage: Stage) -> None:
-    with run.timed(stage.name) as spent:
-        elsewhere = stage.action(run) or {}
-        spent["cpu_s"] += elsewhere.get("cpu_s", 0.0)
+    with run.timed(stage.name):
+        stage.action(run)
 
 
 def _remember(run: Run, task: Task) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +12,16 @@ import polars as pl
 from survey_sim.allocation import AllocationSettings, FieldTargets, plan_visits
 from survey_sim.geometry import sky_to_plate
 from survey_sim.instrument import Plate
-from survey_sim.survey.tile import last_group, magnitude_groups, stream
+from survey_sim.survey.tile import last_group, magnitude_groups, planned_visits, stream
 from survey_sim.survey.workers import Workers
-from survey_sim.tiling import Members, Order, Planned, Pool, make_pool, plate_pairs, pool_visits
+from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pairs, pool_visits
 
 IntArray = npt.NDArray[np.int64]
 
 # Tiles that a worker plans at a time, at most.
 _TILES_A_TASK = 16
+# Columns of a plan; visits are counted in their group, a range of magnitudes.
+PLAN = {"survey": pl.String, "tile_id": pl.Int32, "group": pl.Int32, "visit": pl.Int32, "target_id": pl.Int64}
 _COLUMNS = ("target_id", "kind", "programme", "ra_deg", "dec_deg", "mag", "priority", "wanted_visits")
 
 
@@ -31,15 +33,12 @@ class PoolRules:
     ----------
     wanted_frac
         Completeness wanted of each science programme, by name.
-    max_distance_deg
-        Furthest that a target may be from the centre of its tile.
     """
 
     survey: str
     wanted_frac: Mapping[str, float]
     plate: Plate
     allocation: AllocationSettings
-    max_distance_deg: float
     seed: int
 
 
@@ -64,39 +63,36 @@ class _Task:
 
 
 def pool_survey(
-    rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, shared: Members, workers: Workers
-) -> tuple[Pool, pl.DataFrame]:
+    rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, workers: Workers
+) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Pool the visits of one survey.
 
     Parameters
     ----------
     targets
-        Rows of `targets` of the survey: `tile_id` of science targets is the nearest tile, numbered by rows of `tiles`.
+        Table `targets`, science targets with their nearest tile.
     tiles
         Rows of `tiles` of the survey.
-    shared
-        Rows of `targets` with the calibration targets on each plate.
 
     Returns
     -------
-        The pool, its targets being the science rows in order; the plan: tile_id, group, visit (within the group), target_id.
+        Table `targets`, science targets of the survey with their home tile; the plan, as `PLAN`.
     """
+    place = (targets["survey"] == rules.survey).arg_true().to_numpy()
+    mine = targets[place]
+    pool = survey_pool(rules, mine, tiles, workers)
+    is_science = (mine["kind"] == "science").to_numpy()
+    tile_id = targets["tile_id"].scatter(place[is_science], pool.home.astype(np.int32))
+    return targets.with_columns(tile_id), _plan_table(rules.survey, pool, mine.filter(is_science)["target_id"].to_numpy())
+
+
+def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, workers: Workers) -> Pool:
+    """The pool of one survey, settled; its targets are the science rows of `targets`, which has no other survey's."""
     row = (targets["kind"] == "science").arg_true().to_numpy()
-    science = targets[row]
-    names = sorted(rules.wanted_frac)
-    pool = make_pool(
-        plate_pairs(science, tiles, rules.max_distance_deg),
-        science["tile_id"].to_numpy().astype(np.int64),
-        tiles.height,
-        group=last_group(science["mag"].cast(pl.Float64).fill_null(np.nan).to_numpy(), rules.allocation.mag_ranges),
-        programme=science["programme"].replace_strict(names, range(len(names)), return_dtype=pl.Int64).to_numpy(),
-        wanted_visits=science["wanted_visits"].to_numpy().astype(np.int64),
-        wanted_frac=np.array([rules.wanted_frac[name] for name in names]),
-        capacity=_capacity(rules, targets["kind"]),
-        min_gain=rules.allocation.min_gain,
-    )
+    science, columns = targets[row], targets.select(_COLUMNS)
+    pool = _begin(rules, science, tiles, _capacity(rules, targets["kind"]))
+    shared = members(tiles, targets, rules.plate.instrument.field_radius_deg)
     centres = tiles.select("ra_deg", "dec_deg").rows()
-    columns = targets.select(_COLUMNS)
     target_id = science["target_id"].to_numpy()
 
     def plan_tiles(orders: Sequence[Order]) -> list[Planned]:
@@ -110,24 +106,40 @@ def pool_survey(
             )
             for order in orders
         ]
-        n_task = max(1, -(-len(asked) // _TILES_A_TASK))
-        tasks = [_Task(rules, tuple(some), place) for place, some in enumerate(np.array_split(np.array(asked, object), n_task))]
+        tasks = [_Task(rules, tuple(some), place) for place, some in enumerate(_chunks(asked, _TILES_A_TASK))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
         planned = [plan for _, plans in done for plan in plans]
         return [Planned(np.searchsorted(target_id, plan.row), plan.group, plan.visit) for plan in planned]
 
     pool_visits(pool, plan_tiles)
-    return pool, _plan_table(pool, target_id)
+    return pool
 
 
-def _plan_table(pool: Pool, target_id: IntArray) -> pl.DataFrame:
+def _begin(rules: PoolRules, science: pl.DataFrame, tiles: pl.DataFrame, capacity: int) -> Pool:
+    names = sorted(rules.wanted_frac)
+    return make_pool(
+        plate_pairs(science, tiles, rules.plate.instrument.field_radius_deg),
+        science["tile_id"].to_numpy().astype(np.int64),
+        tiles.height,
+        group=last_group(science["mag"].cast(pl.Float64).fill_null(np.nan).to_numpy(), rules.allocation.mag_ranges),
+        programme=science["programme"].replace_strict(names, range(len(names)), return_dtype=pl.Int64).to_numpy(),
+        wanted_visits=science["wanted_visits"].to_numpy().astype(np.int64),
+        wanted_frac=np.array([rules.wanted_frac[name] for name in names]),
+        capacity=capacity,
+        min_gain=rules.allocation.min_gain,
+    )
+
+
+def _plan_table(survey: str, pool: Pool, target_id: IntArray) -> pl.DataFrame:
     return pl.DataFrame(
         {
+            "survey": [survey] * sum(len(plan.row) for plan in pool.plans),
             "tile_id": np.repeat(np.arange(pool.n_tile), [len(plan.row) for plan in pool.plans]).astype(np.int32),
             "group": np.concatenate([plan.group for plan in pool.plans]).astype(np.int32),
             "visit": np.concatenate([plan.visit for plan in pool.plans]).astype(np.int32),
             "target_id": target_id[np.concatenate([plan.row for plan in pool.plans])],
-        }
+        },
+        schema=PLAN,
     )
 
 
@@ -137,6 +149,11 @@ def _capacity(rules: PoolRules, kinds: pl.Series) -> int:
     n_standard = settings.wanted_standard if "standard" in known else 0
     n_sky = settings.wanted_sky if "sky" in known else 0
     return rules.plate.n_science_live - n_standard - n_sky
+
+
+def _chunks(orders: list[_TileOrder], n: int) -> Iterator[list[_TileOrder]]:
+    for begin in range(0, len(orders), n):
+        yield orders[begin : begin + n]
 
 
 def _plan_task(task: _Task) -> tuple[int, list[Planned]]:
@@ -154,19 +171,10 @@ def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
     parts = [Planned.empty()]
     for group, (chosen, part) in enumerate(magnitude_groups(field, rules.allocation.mag_ranges)):
         if order.n_visit[group]:
-            kept = planned_visits(part.target_id, order.kept, group, int(order.n_visit[group]))
-            planned = plan_visits(
-                part, rules.plate, rules.allocation, ~is_done[chosen], int(order.n_visit[group]), kept, rng
-            )
+            n_visit = int(order.n_visit[group])
+            kept = planned_visits(part.target_id, order.kept, group, n_visit)
+            planned = plan_visits(part, rules.plate, rules.allocation, ~is_done[chosen], n_visit, kept, rng)
             target, visit = np.nonzero(planned)
             is_done[chosen[target]] = True
             parts.append(Planned(part.target_id[target], np.full(len(target), group), visit))
     return Planned(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "group", "visit")))
-
-
-def planned_visits(target_id: IntArray, plan: Planned, group: int, n_visit: int) -> npt.NDArray[np.bool_]:
-    """(n_target, n_visit) a group's plan for the targets with these ids, ascending; others of the plan are left out."""
-    is_planned = np.zeros((len(target_id), n_visit), dtype=np.bool_)
-    is_known = (plan.group == group) & (plan.visit < n_visit) & np.isin(plan.row, target_id)
-    is_planned[np.searchsorted(target_id, plan.row[is_known]), plan.visit[is_known]] = True
-    return is_planned

@@ -20,8 +20,8 @@ from survey_sim.errors import InputError
 from survey_sim.folders import PACKAGE
 from survey_sim.instrument import Instrument, Plate
 from survey_sim.schema import SCHEMA_VERSION, TABLES
-from survey_sim.survey.batches import Workers
 from survey_sim.survey.settings import PipelineSettings, load_pipeline
+from survey_sim.survey.workers import Workers, memory_mib
 
 
 @dataclass(frozen=True)
@@ -119,13 +119,15 @@ class Run:
         tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True, default=str) + "\n").encode(), path)
 
     @contextmanager
-    def timed(self, stage: str) -> Iterator[dict[str, float]]:
-        """Note the wall and CPU seconds of a stage; the block may add its workers' CPU time to what it is given."""
-        spent = {"cpu_s": 0.0}
-        wall, cpu = time.perf_counter(), time.process_time()
-        yield spent
-        spent["cpu_s"] = round(spent["cpu_s"] + time.process_time() - cpu, 3)
-        spent["wall_s"] = round(time.perf_counter() - wall, 3)
+    def timed(self, stage: str) -> Iterator[None]:
+        """Note what a stage takes, its workers included: wall and CPU seconds, and the largest memory so far, MiB."""
+        wall, cpu = time.perf_counter(), time.process_time() + self.workers.cpu_s
+        yield
+        spent = {
+            "wall_s": round(time.perf_counter() - wall, 3),
+            "cpu_s": round(time.process_time() + self.workers.cpu_s - cpu, 3),
+            "memory_mib": round(memory_mib() + sum(self.workers.memory_mib.values())),
+        }
         self.record(stages={stage: spent})
 
 

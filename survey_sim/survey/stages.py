@@ -5,33 +5,44 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from survey_sim import tables
+from survey_sim.allocation import AllocationSettings
 from survey_sim.catalogue import load_card, make_targets
 from survey_sim.folders import cache_folder, data_folder
 from survey_sim.instrument import robots_table
 from survey_sim.schema import TABLES
 from survey_sim.survey.batches import Batch, BatchResult, run_batches
 from survey_sim.survey.nights import schedule_run
+from survey_sim.survey.pooling import PLAN, PoolRules, pool_survey
 from survey_sim.survey.progress import tile_progress
 from survey_sim.survey.rows import TILE_TABLES
 from survey_sim.survey.run import Run, code_digest
 from survey_sim.survey.tile import TileJob
+from survey_sim.tiling import Planned, make_tiles, members
 
 # Rooms whose code each stage runs: a change there makes the stage run again.
 STAGE_ROOMS = {
     "targets": ("catalogue",),
     "tiles": ("tiling",),
+    "pool": ("tiling", "allocation", "survey/pooling", "survey/tile"),
     "visits": ("allocation", "routing", "simulation", "survey/rows", "survey/tile"),
     "schedule": ("schedule",),
     "report": ("plotting", "player", "survey/report"),
 }
 # What a programme says that does not change which targets it has.
 _NOT_OF_TARGETS = ("exposure_s", "completeness_frac")
+# Settings of allocation that pooling goes by: not those that say how robots get to what they are given.
+_OF_POOLING = (
+    *("wanted_standard", "wanted_sky", "wanted_guide", "min_standard", "min_sky", "min_guide", "min_sky_region"),
+    *("sky_regions", "priority_gain", "effort", "min_gain", "mag_ranges"),
+)
 # Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
 GATHERED = tuple(table for table in TILE_TABLES if not TABLES[table].is_in_parts)
 
@@ -55,55 +66,69 @@ def select_targets(run: Run) -> None:
 
 
 def place_tiles(run: Run) -> None:
-    """Selected targets -> tiles, targets with their home tiles."""
-    from survey_sim.tiling import make_tiles  # noqa: PLC0415
-
+    """Selected targets -> tile centres, targets with the nearest of them."""
     selected = pl.read_parquet(selected_path(run))
     tiles, targets = make_tiles(selected, run.settings.tiling, run.instrument.field_radius_deg)
+    centres, covered = covered_paths(run)
+    tables.write(tiles, "tiles", centres)
+    tables.write(targets, "targets", covered)
+    _warn(run, "tiles", [f"survey {name} has no tile" for name in run.settings.surveys if name not in set(tiles["survey"])])
+
+
+def pool_tiles(run: Run) -> None:
+    """Tile centres, targets -> targets with their home tiles, tiles, plans of the surveys whose visits are pooled."""
+    centres, covered = covered_paths(run)
+    tiles, targets = pl.read_parquet(centres), pl.read_parquet(covered)
+    plans = [pl.DataFrame(schema=PLAN)]
+    for survey in run.settings.surveys:
+        rules = _pool_rules(run, survey)
+        if rules is not None and (tiles["survey"] == survey).any():
+            targets, plan = pool_survey(rules, targets, tiles.filter(survey=survey), run.workers)
+            plans.append(plan)
+    n_home = targets.filter(kind="science").group_by("survey", "tile_id").agg(n_target=pl.len().cast(pl.Int32))
+    tiles = (
+        tiles.drop("n_target")
+        .join(n_home, on=["survey", "tile_id"], how="left")
+        .with_columns(pl.col("n_target").fill_null(0))
+    )
     tables.write(targets, "targets", run.table("targets"))
     tables.write(tiles, "tiles", run.table("tiles"))
+    content = BytesIO()
+    pl.concat(plans).write_parquet(content, compression="zstd")
+    tables.write_bytes(content.getvalue(), plans_path(run))
 
 
-def simulate_visits(run: Run) -> dict[str, float]:
-    """Tiles -> robots, visits, allocations, paths, legs, robot times; a part for each batch, those whole are kept.
-
-    Returns
-    -------
-        CPU seconds that other processes spent on the batches done now.
-    """
+def simulate_visits(run: Run) -> None:
+    """Tiles -> robots, visits, allocations, paths, legs, robot times; a part for each batch, those whole are kept."""
     robots = pl.concat([robots_table(run.plate, survey) for survey in run.settings.surveys])
     tables.write(robots, "robots", run.table("robots"))
     batches = make_batches(run)
     names = {batch.name for batch in batches}
     _drop_stale_parts(run, names)
     wanted = [batch for batch in batches if not is_whole(run, batch)]
-    cpu_s = 0.0
     n_tile, n_wanted = (sum(len(batch.jobs) for batch in some) for some in (batches, wanted))
     with tile_progress(run.console, n_tile, n_tile - n_wanted) as advance:
         for result in run_batches(wanted, run.workers):
             _keep(run, result)
-            cpu_s += result.cpu_s if result.is_elsewhere else 0.0
             advance(result.n_tile, result.n_visit)
     for table in GATHERED:
         parts = [pl.read_parquet(_part(run, table, name)) for name in sorted(names)]
         tables.write(pl.concat([tables.empty(table), *parts]), table, run.table(table))
-    return {"cpu_s": cpu_s}
 
 
 def make_batches(run: Run) -> list[Batch]:
     """All tiles in batches, with a digest of all that each batch depends on."""
-    from survey_sim.tiling import members  # noqa: PLC0415
-
     targets, tiles = tables.read(run.folder, "targets"), tables.read(run.folder, "tiles")
     shared = members(tiles, targets, run.instrument.field_radius_deg)
     fixed = _digest(parameters(run, "visits"), code_digest(*STAGE_ROOMS["visits"]))
+    plans = pl.read_parquet(plans_path(run)).partition_by("survey", "tile_id", as_dict=True)
     batches = []
     own = targets.filter(kind="science").partition_by("survey", "tile_id", as_dict=True)
     for survey in run.settings.surveys:
         of_survey = tiles.with_row_index("place").filter(survey=survey)
         for chunk in of_survey.iter_slices(run.settings.output.tiles_per_part):
-            jobs = tuple(_job(run, row, own, targets[shared.of(row["place"])]) for row in chunk.iter_rows(named=True))
-            content = [job.targets.write_ipc(None).getvalue() for job in jobs]
+            jobs = tuple(_job(run, row, own, targets[shared.of(row["place"])], plans) for row in chunk.iter_rows(named=True))
+            content = [part for job in jobs for part in _content(job)]
             centres = json.dumps([(job.tile_id, job.centre_deg) for job in jobs])
             name = f"{survey}-{jobs[0].tile_id:05d}"
             batches.append(Batch(name, _digest(fixed, centres, *content), jobs))
@@ -122,7 +147,18 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
             "region": dump["tiling"]["region"],
             "field_radius_deg": run.instrument.field_radius_deg,
         },
-        "tiles": {"tiling": dump["tiling"], "field_radius_deg": run.instrument.field_radius_deg},
+        "tiles": {"tiling": {**dump["tiling"], "pool": None}, "field_radius_deg": run.instrument.field_radius_deg},
+        "pool": {
+            "seed": dump["run"]["seed"],
+            "pool": dump["tiling"]["pool"],
+            "instrument": instrument,
+            "dead_robots": run.plate.robot_id[~run.plate.is_live].tolist(),
+            "allocation": {
+                survey: run.settings.allocation.of(survey).model_dump(mode="json", include={*_OF_POOLING, "visits"})
+                for survey in run.settings.surveys
+            },
+            "wanted": {p.name: p.completeness_frac for p in run.settings.science},
+        },
         "visits": {
             "seed": dump["run"]["seed"],
             "instrument": instrument,
@@ -176,6 +212,16 @@ def selected_path(run: Run) -> Path:
     return run.state / "selected.parquet"
 
 
+def covered_paths(run: Run) -> tuple[Path, Path]:
+    """Tiles, and targets with the nearest of them, before visits are pooled."""
+    return run.state / "centres.parquet", run.state / "covered.parquet"
+
+
+def plans_path(run: Run) -> Path:
+    """What each pooled visit shall hold."""
+    return run.state / "plans.parquet"
+
+
 def are_parts_whole(run: Run) -> bool:
     """Whether every part that the manifests name is there, byte for byte."""
     manifests = sorted((run.state / "parts").glob("*.json"))
@@ -198,8 +244,21 @@ def _warn(run: Run, stage: str, warnings: Sequence[str]) -> None:
         run.console.print(f"  [yellow]warning:[/yellow] {warning}")
 
 
-def _job(run: Run, tile: dict[str, Any], own: dict[Any, pl.DataFrame], shared: pl.DataFrame) -> TileJob:
-    science = own.get((tile["survey"], tile["tile_id"]), shared.clear())
+def _content(job: TileJob) -> list[bytes]:
+    """What a tile depends on besides its place and the run's settings."""
+    plan = [] if job.plan is None else [job.plan.row, job.plan.group, job.plan.visit]
+    return [job.targets.write_ipc(None).getvalue(), *(np.ascontiguousarray(column).tobytes() for column in plan)]
+
+
+def _job(
+    run: Run,
+    tile: dict[str, Any],
+    own: dict[Any, pl.DataFrame],
+    shared: pl.DataFrame,
+    plans: dict[Any, pl.DataFrame],
+) -> TileJob:
+    key = (tile["survey"], tile["tile_id"])
+    science = own.get(key, shared.clear())
     rows = pl.concat([science, shared]).sort("target_id")
     settings = run.settings
     return TileJob(
@@ -212,7 +271,33 @@ def _job(run: Run, tile: dict[str, Any], own: dict[Any, pl.DataFrame], shared: p
         allocation=settings.allocation.of(tile["survey"]),
         routing=settings.routing,
         seed=settings.run.seed,
+        plan=_plan(plans.get(key)) if _is_planned(run, tile["survey"]) else None,
     )
+
+
+def _plan(rows: pl.DataFrame | None) -> Planned:
+    if rows is None:
+        return Planned.empty()
+    return Planned(*(rows[name].to_numpy().astype(np.int64) for name in ("target_id", "group", "visit")))
+
+
+def _pool_rules(run: Run, survey: str) -> PoolRules | None:
+    """How a survey's visits are pooled; None if they are not."""
+    settings = run.settings.allocation.of(survey)
+    if not run.settings.tiling.pool or settings.visits is not None:
+        return None
+    return PoolRules(
+        survey=survey,
+        wanted_frac={p.name: p.completeness_frac for p in run.settings.science if p.survey == survey},
+        plate=run.plate,
+        allocation=AllocationSettings.load({key: getattr(settings, key) for key in _OF_POOLING}),
+        seed=run.settings.run.seed,
+    )
+
+
+def _is_planned(run: Run, survey: str) -> bool:
+    """Whether a survey's tiles make the visits that pooling planned."""
+    return run.settings.allocation.of(survey).algorithm == "plan" and _pool_rules(run, survey) is not None
 
 
 def _keep(run: Run, result: BatchResult) -> None:

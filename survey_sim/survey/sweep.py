@@ -21,10 +21,10 @@ from rich.console import Console
 from survey_sim.errors import InputError, did_you_mean
 from survey_sim.folders import find_pipeline
 from survey_sim.settings import Settings, read_toml
-from survey_sim.survey.batches import Workers
 from survey_sim.survey.engine import load_stages, plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.store import Store
+from survey_sim.survey.workers import Workers
 
 # Stages that the runs of a sweep leave out: the sweep has a page of its own, `survey-sim report` draws that of one run.
 SKIPPED = ("report",)

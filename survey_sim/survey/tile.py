@@ -16,6 +16,7 @@ from survey_sim.instrument import Plate
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import simulate
 from survey_sim.survey.rows import PlayedPath, TileRows
+from survey_sim.tiling import Planned
 
 # What tables say of each `UnroutedReason`.
 REASON_CODES = np.array([None if reason == UnroutedReason.ARRIVED else reason.code for reason in UnroutedReason])
@@ -31,6 +32,8 @@ class TileJob:
         Rows of `targets` that this tile may use: its own science targets, and the shared kinds on its plate.
     wanted_frac
         Completeness wanted of each science programme, by name.
+    plan
+        What pooling planned (targets by their ids); None: as many visits as the completeness wanted of this tile needs.
     """
 
     survey: str
@@ -42,6 +45,7 @@ class TileJob:
     allocation: AllocationSettings
     routing: RoutingSettings
     seed: int
+    plan: Planned | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def magnitude_groups(
 
 
 def last_group(mag: FloatArray, ranges: tuple[tuple[float, float], ...]) -> npt.NDArray[np.int64]:
-    """(n_target,) the last magnitude range that may serve targets of these magnitudes, NaN where unknown; it completes them."""
+    """(n_target,) the last magnitude range that may serve targets of these magnitudes (NaN: unknown); it completes them."""
     return np.searchsorted([low for low, _ in ranges[1:]], mag, side="right").astype(np.int64)
 
 
@@ -120,7 +124,12 @@ def _visit_group(
     chosen, field = group
     park = _park(job.plate)
     rng = _stream(job, "allocation", number)
-    session = start_allocation(field, job.plate, job.allocation, rng, n_done=rows.n_done[chosen])
+    settings, is_planned = job.allocation, None
+    if job.plan is not None:
+        is_planned = planned_visits(field.target_id, job.plan, number)
+        field = _as_planned(field, rows.field.programme[chosen], is_planned, rows.n_done[chosen])
+        settings = settings.model_copy(update={"max_visits": is_planned.shape[1]})
+    session = start_allocation(field, job.plate, settings, rng, rows.n_done[chosen], is_planned)
     visit = session.next_visit(state.position_mm)
     while visit is not None:
         start = park if visit.start == "park" else state
@@ -135,6 +144,37 @@ def _visit_group(
         state = end
         visit = session.next_visit(state.position_mm)
     return state, session.lost_reasons()
+
+
+def planned_visits(
+    target_id: npt.NDArray[np.int64], plan: Planned, group: int, n_visit: int | None = None
+) -> npt.NDArray[np.bool_]:
+    """(n_target, n_visit) the plan of a group of visits for the targets with these ids, ascending; others are left out.
+
+    Parameters
+    ----------
+    n_visit
+        Visits of the group; as many as the plan has by default.
+    """
+    if n_visit is None:
+        n_visit = int(plan.visit[plan.group == group].max(initial=-1)) + 1
+    is_planned = np.zeros((len(target_id), n_visit), dtype=np.bool_)
+    is_known = (plan.group == group) & (plan.visit < n_visit) & np.isin(plan.row, target_id)
+    is_planned[np.searchsorted(target_id, plan.row[is_known]), plan.visit[is_known]] = True
+    return is_planned
+
+
+def _as_planned(
+    field: FieldTargets, programme: npt.NDArray[np.int64], is_planned: npt.NDArray[np.bool_], n_done: npt.NDArray[np.int64]
+) -> FieldTargets:
+    """The targets, of which just those planned or complete are wanted; `programme` (n_target,) knows that of fillers too."""
+    is_wanted = field.is_science & (is_planned.any(axis=1) | (n_done >= field.wanted_visits))
+    programme = np.where(is_wanted, programme, field.programme)
+    is_counted = field.is_science & (programme >= 0)
+    n_programme = len(field.programmes)
+    n_wanted = np.bincount(programme[is_wanted], minlength=n_programme)
+    wanted_frac = n_wanted / np.maximum(np.bincount(programme[is_counted], minlength=n_programme), 1)
+    return replace(field, programme=programme, wanted_frac=wanted_frac)
 
 
 def stream(seed: int, stage: str, *keys: str | int) -> np.random.Generator:

@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from rich.console import Console
 
 from survey_sim.check import check_run
-from survey_sim.survey.batches import Workers
 from survey_sim.survey.engine import load_stages
 from survey_sim.survey.run import open_run
 from survey_sim.survey.specimen import write_specimen
+from survey_sim.survey.workers import Workers
 
 _NIGHT = """
 [schedule]

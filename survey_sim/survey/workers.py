@@ -1,12 +1,15 @@
 """Workers: this process, other processes on this machine, or a dask cluster. They are started when first needed.
 
-What a stage gives them are functions of plain values, so that the result depends neither on who did the work nor on its order.
+What a stage gives them are functions of plain values, so that the result depends neither on who did the work nor on when.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import platform
+import resource
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -24,12 +27,24 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
+@dataclass(frozen=True)
+class Spent:
+    """What a task took: CPU seconds, and the process's largest memory so far, MiB."""
+
+    process: tuple[str, int]
+    cpu_s: float
+    memory_mib: float
+
+
 @dataclass
 class Workers:
     """Who does the work: this process (n = 0), n processes on this machine, or those of a dask scheduler."""
 
     n: int = 0
     scheduler: str | None = None
+    # Of other processes: CPU seconds so far, and the largest memory of each, MiB.
+    cpu_s: float = 0.0
+    memory_mib: dict[tuple[str, int], float] = field(default_factory=dict)
     _client: Client | None = field(default=None, repr=False)
     _cluster: LocalCluster | None = field(default=None, repr=False)
 
@@ -58,19 +73,21 @@ class Workers:
 
         def submit_next() -> None:
             for task in waiting:
-                futures.add(client.submit(function, task, pure=False, retries=2))
+                futures.add(client.submit(_measured, function, task, pure=False, retries=2))
                 return
 
         for _ in range(AHEAD * max(1, len(client.scheduler_info()["workers"]))):
             submit_next()
         for future in futures:
             try:
-                result = future.result()
+                result, spent = future.result()
             except FutureCancelledError:
                 raise InputError(
                     "the scheduler has gone away", place="--scheduler", remedy="run again: finished tiles are kept"
                 ) from None
             future.release()
+            self.cpu_s += spent.cpu_s
+            self.memory_mib[spent.process] = max(spent.memory_mib, self.memory_mib.get(spent.process, 0.0))
             submit_next()
             yield result
 
@@ -111,6 +128,17 @@ class Workers:
             memory_limit=0,
         )
         return Client(self._cluster)
+
+
+def memory_mib() -> float:
+    """Largest memory of this process so far, MiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def _measured(function: Callable[[Task], Result], task: Task) -> tuple[Result, Spent]:
+    begun = time.process_time()
+    result = function(task)
+    return result, Spent((platform.node(), os.getpid()), time.process_time() - begun, memory_mib())
 
 
 def _quiet_dask() -> None:

@@ -1,7 +1,7 @@
 """Tiles: where the telescope points, which tile each science target is at home on, and in how many visits.
 
-`make_tiles` covers a footprint with tiles; `pool_visits` decides how many visits each tile gets, and which of the tiles that see
-a target takes it; `members` lists the calibration targets on each plate.
+`make_tiles` covers a footprint with tiles; `pool_visits` decides how many visits each tile gets, and which of the tiles that
+see a target takes it; `members` lists the calibration targets on each plate.
 """
 
 from survey_sim.tiling.grid import COVERING_DENSITY, covering, icosahedral_grid

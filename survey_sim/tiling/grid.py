@@ -1,9 +1,9 @@
 """Tile centres: an even covering of the sphere.
 
-An icosahedral grid (Goldberg's, by Caspar & Klug's (a, b) construction): a hexagonal lattice on each of the 20 faces. It exists
-for 10 T + 2 centres, T = a^2 + a b + b^2: 12, 32, 42, ... 1832, 1892, 1922, ..., so about any number. Circles that leave no gap
-cover the sphere 1.31 to 1.33 times with it, 1.86 times with a Fibonacci spiral and 2.00 times with HEALPix cells (measured at
-1700 to 1900 centres); the least on a plane is 1.21 times.
+An icosahedral grid (Goldberg's, by Caspar & Klug's (a, b) construction): a hexagonal lattice on each of the 20 faces. It
+exists for 10 T + 2 centres, T = a^2 + a b + b^2: 12, 32, 42, ... 1832, 1892, 1922, ..., so about any number. Circles that
+leave no gap cover the sphere 1.31 to 1.33 times with it, 1.86 times with a Fibonacci spiral, 2.00 times with HEALPix cells
+(measured at 1700 to 1900 centres); the least on a plane is 1.21 times.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
 """Pooling: how many visits each tile gets, and which of the tiles that see a target takes it.
 
-A whole survey wants a share of its targets, in as few visits as may be. A tile that stops only when it has that share itself ends
-in visits for a handful of targets: those too close to others, or beyond a whole number of visits. Where tiles overlap, a
+A whole survey wants a share of its targets, in as few visits as may be. A tile that stops only when it has that share itself
+ends in visits for a handful of targets: too close to others, or beyond a whole number of visits. Where tiles overlap, a
 neighbour's idle fibres serve them for nothing. So visits are pooled:
 
 1. Each tile begins with as many visits as its targets fill, rounded, and plans them.
@@ -9,8 +9,8 @@ neighbour's idle fibres serve them for nothing. So visits are pooled:
 3. While the survey lacks targets, tiles with the most waiting get one visit more.
 4. While it has more than it wants, the visits that bring the fewest targets are given up.
 
-Tiles that share no target plan at the same time: tiles are coloured so that no two of a colour do, and colours take turns. The
-result depends on no order within a colour, so on no number of workers.
+Tiles that share no target plan at the same time: tiles are coloured so that no two of a colour do, and colours take turns.
+The result depends on no order within a colour, so on no number of workers.
 
 A tile's visits are split in groups (ranges of magnitude, of which one exposure serves one); without ranges there is one.
 """
@@ -209,7 +209,11 @@ class Pool:
         n_group = self.n_visit.shape[1]
         weight = self.wanted_visits[row] * np.where(self.home[row] == tile, 1.0, _SHARED)
         slot = tile * n_group + self.group[row]
-        return np.bincount(slot, weights=weight, minlength=self.n_tile * n_group).reshape(self.n_tile, n_group)
+        return (
+            np.bincount(slot, weights=weight, minlength=self.n_tile * n_group)
+            .reshape(self.n_tile, n_group)
+            .astype(np.float64)
+        )
 
     def is_offered_more(self) -> BoolArray:
         """(n_tile,) tiles with idle fibres on whose plates targets wait that did not when they planned last."""
@@ -291,7 +295,7 @@ def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
     """Plan the chosen tiles again, colour by colour: those of a colour share no target."""
     for colour in range(pool.colours.max(initial=-1) + 1):
         tiles = np.flatnonzero(is_chosen & (pool.colours == colour))
-        orders = [pool.order(tile) for tile in tiles if pool.n_visit[tile].any()]
+        orders = [pool.order(int(tile)) for tile in tiles if pool.n_visit[tile].any()]
         for order, planned in zip(orders, plan_tiles(orders), strict=True):
             pool.accept(order, planned)
 
@@ -311,7 +315,7 @@ def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
         if not lack or not len(tiles):
             return
         tiles = tiles[: 2 * np.searchsorted(np.cumsum(hope[tiles]), lack) + 4]
-        orders = [pool.order(tile, n_visit=pool.n_visit[tile] + _one(pool, group[tile])) for tile in tiles]
+        orders = [pool.order(int(t), n_visit=pool.n_visit[t] + _one(pool, group[t])) for t in tiles]
         trials = []
         for order, planned in zip(orders, plan_tiles(orders), strict=True):
             gain = len(planned.row) - len(pool.plans[order.tile].row)
@@ -337,7 +341,7 @@ def _shrink(pool: Pool, plan_tiles: PlanTiles) -> None:
         group, loss = loss.argmin(axis=1), loss.min(axis=1)
         tiles = np.argsort(loss, kind="stable")[: max(4, round(_TRIED_FRAC * pool.n_tile))]
         tiles = tiles[np.isfinite(loss[tiles])]
-        orders = [pool.order(t, is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
+        orders = [pool.order(int(t), is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
         trials = []
         for order, planned in zip(orders, plan_tiles(orders), strict=True):
             own = pool.own(order.tile)

@@ -33,11 +33,15 @@ class TilingSettings(Settings):
 
     # Part of the sky that the run is limited to.
     region: Region = Region()
-    # Furthest that a target may be from the centre of its home tile, in field radii: 1 gives the fewest tiles.
-    max_distance_frac: float = Field(1.0, gt=0.05, le=1)
+    # Furthest that a target may be from the nearest tile's centre, in field radii: 1 gives the fewest tiles. Measured
+    # (docs/tiling.md): somewhat less gives more overlap, which serves what one tile alone cannot.
+    max_distance_frac: float = Field(0.95, gt=0.05, le=1)
     # Leave out tiles whose targets are all on other plates, those with the fewest first.
     drop_redundant: bool = True
-    # Orientations of the grid that are tried on each survey's footprint; the one with the fewest tiles is taken. Measured on
+    # Share visits out among tiles: a target goes to whichever tile on whose plate it lies has a fibre for it, and a survey
+    # has the completeness that it wants as a whole. Without it a target is at home on the nearest tile; each tile has it.
+    pool: bool = True
+    # Orientations of the grid tried on each survey's footprint; the one with the fewest tiles is taken. Measured on
     # 440 sq deg: 25 tiles with one, 21 to 24 with 32 to 128; on all of dec < +20: 1308 and 1302.
     n_orientation: int = Field(64, ge=1, le=10_000)
 
