@@ -177,7 +177,7 @@ class Session:
         field, plate = self.field, self.field.plate
         n_near = np.diff(field.near_first)
         reason = np.full(field.targets.n_target, LostReason.NO_FIBRE_LEFT, dtype=np.int8)
-        reason[field.targets.priority < self._lowest] = LostReason.LOW_PRIORITY
+        reason[(field.targets.priority < self._lowest) & (self._n_visit > 0)] = LostReason.LOW_PRIORITY
         is_crowded = (self._n_clear == 0) & (self._n_visit > 0)
         reason[is_crowded] = LostReason.CROWDED
         reason[is_crowded & (n_near == 1)] = LostReason.TOO_CLOSE_PAIR

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -94,6 +94,7 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
     shared = members(tiles, targets, rules.plate.instrument.field_radius_deg)
     centres = tiles.select("ra_deg", "dec_deg").rows()
     target_id = science["target_id"].to_numpy()
+    by_id = np.argsort(target_id)
 
     def plan_tiles(orders: Sequence[Order]) -> list[Planned]:
         asked = [
@@ -109,7 +110,7 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
         tasks = [_Task(rules, tuple(some), place) for place, some in enumerate(_chunks(asked, _TILES_A_TASK))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
         planned = [plan for _, plans in done for plan in plans]
-        return [Planned(np.searchsorted(target_id, plan.row), plan.group, plan.visit) for plan in planned]
+        return [replace(plan, row=by_id[np.searchsorted(target_id, plan.row, sorter=by_id)]) for plan in planned]
 
     pool_visits(pool, plan_tiles)
     return pool

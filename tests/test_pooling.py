@@ -1,0 +1,144 @@
+"""Pooling of visits: which tile takes a target, how many visits each tile gets, and that visits are made as planned."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.distance import pdist
+
+from survey_sim.allocation import AllocationSettings
+from survey_sim.geometry import sky_to_plate
+from survey_sim.instrument import load_instrument, make_plate
+from survey_sim.survey.pooling import PLAN, PoolRules, pool_survey
+from survey_sim.survey.tile import last_group, planned_visits, simulate_tile
+from survey_sim.survey.workers import Workers
+from survey_sim.tiling import Order, Planned, Pool, TilingSettings, make_pool, make_tiles, pool_visits
+from tests.test_tile import _job
+from tests.test_tiling import make_targets, random_places
+
+PLATE = make_plate(load_instrument("taipan-150"))
+FIELD_DEG = PLATE.instrument.field_radius_deg
+CAPACITY = 2
+
+
+def _first_come(orders: Sequence[Order]) -> list[Planned]:
+    """A planner by hand: the first targets, as many as there are fibres."""
+    taken = [order.row[: order.n_visit[0] * CAPACITY] for order in orders]
+    return [Planned(row, np.zeros(len(row), np.int64), np.arange(len(row)) // CAPACITY) for row in taken]
+
+
+def _pool(tiles: Sequence[Sequence[int]], home: Sequence[int], wanted_frac: float = 1.0) -> Pool:
+    """A pool of one programme: the targets on each tile's plate, and the first home of each."""
+    n = len(home)
+    pairs = np.concatenate([np.array(row) for row in tiles]), np.repeat(np.arange(len(tiles)), [len(row) for row in tiles])
+    return make_pool(
+        pairs,
+        np.array(home),
+        len(tiles),
+        group=np.zeros(n, np.int64),
+        programme=np.zeros(n, np.int64),
+        wanted_visits=np.ones(n, np.int64),
+        wanted_frac=np.array([wanted_frac]),
+        capacity=CAPACITY,
+        min_gain=1,
+    )
+
+
+def test_what_one_tile_cannot_fill_a_visit_with_goes_to_its_neighbour() -> None:
+    """Five targets at home on one tile and one on the other: three visits of two fibres, not three and one."""
+    pool = _pool([[0, 1, 2, 3, 4], [3, 4, 5]], [0, 0, 0, 0, 0, 1])
+    pool_visits(pool, _first_come)
+    assert pool.n_visit[:, 0].tolist() == [2, 1]
+    assert pool.is_done.all()
+    assert pool.home.tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_a_visit_that_the_survey_can_do_without_is_given_up() -> None:
+    pool = _pool([[0, 1, 2, 3], [4]], [0, 0, 0, 0, 1], wanted_frac=0.8)
+    pool_visits(pool, _first_come)
+    assert pool.n_visit[:, 0].tolist() == [2, 0]
+    assert pool.is_done.tolist() == [True, True, True, True, False]
+
+
+def test_tiles_of_a_colour_share_no_target() -> None:
+    rng = np.random.default_rng(5)
+    tiles = [np.sort(rng.choice(60, 8, replace=False)) for _ in range(20)]
+    pool = _pool([*tiles, np.arange(60)], [20] * 60)
+    for a in range(21):
+        for b in range(a):
+            share = np.intersect1d(*(pool.row[pool.first[t] : pool.first[t + 1]] for t in (a, b)))
+            assert (len(share) > 0) == (b in pool.near[a])
+            assert pool.colours[a] != pool.colours[b] or not len(share)
+
+
+def _rules(**allocation: object) -> PoolRules:
+    return PoolRules("s", {"p": 0.95}, PLATE, AllocationSettings.load({"min_gain": 5, **allocation}), seed=1)
+
+
+@pytest.fixture(scope="module")
+def sky() -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Targets with the nearest tiles, and tiles: 12 by 12 deg, 21 targets a square degree, a third of them bright."""
+    targets = make_targets(random_places(3000, 3, dec=(-6.0, 6.0), ra=(40.0, 52.0)))
+    mag = np.random.default_rng(8).choice([6.0, 11.0], len(targets), p=[1 / 3, 2 / 3])
+    tiles, targets = make_tiles(targets.with_columns(mag=mag), TilingSettings(n_orientation=4), FIELD_DEG)
+    return targets, tiles
+
+
+def _check_plan(targets: pl.DataFrame, tiles: pl.DataFrame, plan: pl.DataFrame) -> None:
+    """Each target once, on its home's plate; no visit beyond its fibres, no two of its targets too close."""
+    assert plan["target_id"].is_unique().all()
+    joined = plan.join(targets.select("target_id", "ra_deg", "dec_deg", home="tile_id"), on="target_id", how="left")
+    assert (joined["tile_id"] == joined["home"]).all()
+    for (tile_id, _, _), visit in joined.partition_by("tile_id", "group", "visit", as_dict=True).items():
+        centre = tiles.filter(tile_id=tile_id).select("ra_deg", "dec_deg").row(0)
+        place = sky_to_plate(visit["ra_deg"].to_numpy(), visit["dec_deg"].to_numpy(), centre, 67.2)
+        assert len(visit) <= PLATE.n_science_live
+        assert np.hypot(*place.T).max() <= PLATE.instrument.plate_radius_mm
+        assert len(visit) < 2 or pdist(place).min() >= 9.0
+
+
+def test_a_survey_has_the_completeness_that_it_wants_in_few_visits(sky: tuple[pl.DataFrame, pl.DataFrame]) -> None:
+    targets, plan = pool_survey(_rules(), *sky, Workers())
+    _check_plan(targets, sky[1], plan)
+    assert 0.95 <= len(plan) / len(targets) < 0.965
+    n_visit = plan.select("tile_id", "visit").n_unique()
+    assert n_visit <= 1.4 * 0.95 * len(targets) / PLATE.n_science_live
+    assert plan.schema == pl.Schema(PLAN)
+    assert (targets["tile_id"] != sky[0]["tile_id"]).mean() > 0.02, "targets in overlaps go where they are served"
+
+
+def test_visits_of_a_range_hold_its_magnitudes(sky: tuple[pl.DataFrame, pl.DataFrame]) -> None:
+    ranges = ((5.0, 8.0), (7.0, 12.0))
+    targets, plan = pool_survey(_rules(mag_ranges=ranges), *sky, Workers())
+    _check_plan(targets, sky[1], plan)
+    mag = plan.join(targets, on="target_id")
+    assert mag.filter(group=0)["mag"].max() == 6.0
+    assert mag.filter(group=1)["mag"].min() == 11.0
+    assert last_group(np.array([3.0, 6.9, 7.0, 7.5, 20.0, np.nan]), ranges).tolist() == [0, 0, 1, 1, 1, 1]
+
+
+def test_a_tile_makes_the_visits_that_are_planned() -> None:
+    """Of 300 targets a plan wants 180, in two visits: so many are observed, and no third visit is made for the rest."""
+    job = _job(300, algorithm="plan")
+    planned = Planned(np.arange(180), np.zeros(180, np.int64), np.arange(180) % 2)
+    made = simulate_tile(replace(job, plan=planned))
+    assert made["visits"]["visit_id"].to_list() == [0, 1]
+    held = made["allocations"].filter(kind="science")["target_id"].unique()
+    assert len(held) >= 180
+    assert len(set(planned.row) & set(held)) > 120
+
+
+def test_a_tile_without_a_plan_makes_no_visit_and_gives_reasons() -> None:
+    made = simulate_tile(replace(_job(30, algorithm="plan"), plan=Planned.empty()))
+    assert not len(made["visits"])
+    assert made["unallocated"].height == 30
+    assert set(made["unallocated"]["reason"]) == {"no-fibre-left"}
+
+
+def test_planned_visits_of_a_group() -> None:
+    plan = Planned(np.array([5, 9, 9, 7]), np.array([1, 1, 1, 0]), np.array([0, 0, 2, 0]))
+    assert planned_visits(np.array([5, 7, 9]), plan, 1).tolist() == [[True, False, False], [False] * 3, [True, False, True]]
+    assert planned_visits(np.array([5, 7]), plan, 1, n_visit=1).tolist() == [[True], [False]]
+    assert planned_visits(np.array([5]), Planned.empty(), 0).shape == (1, 0)
