@@ -10,6 +10,7 @@ from pathlib import Path
 from survey_sim.survey import stages
 from survey_sim.survey.engine import Stage, Unchanged
 from survey_sim.survey.run import Run, code_digest
+from survey_sim.survey.transitions import are_parts_whole
 
 
 def make_stages(run: Run) -> Iterator[Stage]:
@@ -31,7 +32,7 @@ def make_stages(run: Run) -> Iterator[Stage]:
 
     selected = stages.selected_path(run)
     sky = ("targets", "tiles")
-    nights = ("exposures", "nights", "target_status")
+    nights = stages.scheduled_tables(run)
     page = run.folder / "report" / "index.html"
 
     yield stage("targets", stages.select_targets, stages.catalogue_files(run), [selected, *files("rejected")])
@@ -44,6 +45,12 @@ def make_stages(run: Run) -> Iterator[Stage]:
         files("robots", *stages.GATHERED),
         is_whole=lambda: stages.are_parts_whole(run),
     )
-    yield stage("schedule", stages.make_night_schedule, files(*sky, *stages.GATHERED), files(*nights))
+    yield stage(
+        "schedule",
+        stages.make_night_schedule,
+        files(*sky, *stages.GATHERED),
+        files(*nights),
+        is_whole=lambda: are_parts_whole(run),
+    )
     drawn = [*files(*sky, *stages.GATHERED, *nights), *stages.report_files()]
     yield stage("report", stages.draw_report, drawn, [page])

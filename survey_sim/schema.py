@@ -85,16 +85,33 @@ MAG = Column("mag", FLOAT, "mag", "phot.mag;em.opt", "magnitude in the catalogue
 SOURCE_ID = Column("source_id", TEXT, "", "meta.id;meta.dataset", "identifier in the catalogue it came from")
 X = Column("x_mm", FLOAT, "mm", "pos.cartesian.x;instr.det", "plate x (east) of the robot's centre where it ends")
 Y = Column("y_mm", FLOAT, "mm", "pos.cartesian.y;instr.det", "plate y (north) of the robot's centre where it ends")
+_EXPOSURE_ID = Column("exposure_id", INT32, "", "meta.id;obs", "pointing, counted from 0 in time")
 NIGHT = Column("night", INT32, "d", "time.epoch;obs", "night, counted from 0 at the schedule's first evening")
 
 _CONFIGURATION = (
     Column("configuration_time_s", FLOAT, "s", "time.duration;stat.max", "when the last robot of the path comes to rest"),
     Column("configuration_time_p95_s", FLOAT, "s", "time.duration", "when 95 % of the moving robots have come to rest"),
 )
+_MEDIAN = Column("configuration_time_median_s", FLOAT, "s", "time.duration;stat.median", "median rest time of moving robots")
 _LOWER_BOUND = Column("lower_bound_s", FLOAT, "s", "time.duration;stat.min", "the slowest single robot, were it alone")
 _TICKS = Column("ticks", INT32, "", "meta.number", "synchronous moves that the path is cut into")
 _COLLISIONS = Column("collisions", INT32, "", "meta.number", "pairs of robots nearer than the separation at some time")
 _UNROUTED = Column("unrouted", INT32, "", "meta.number", "robots that the router had to leave where they stood")
+_LEAST_SEPARATION = Column(
+    "min_separation_mm", FLOAT, "mm", "pos.distance;stat.min", "least distance between two robots at any instant"
+)
+# What a leg is, and the state that it ends in.
+_LEG = (
+    Column("leg", INT16, "", "meta.number", "leg of the robot on this path, counted from 0"),
+    Column("start_s", FLOAT, "s", "time.duration", "when it begins, from the start of the path"),
+    Column("rotate_deg", FLOAT, "deg", "pos.posAng;instr", "turn in place first, counter-clockwise"),
+    Column("dx_mm", FLOAT, "mm", "pos.cartesian.x;instr", "then go along the robot's own x axis"),
+    Column("dy_mm", FLOAT, "mm", "pos.cartesian.y;instr", "then go along the robot's own y axis"),
+    Column("precise_mm", FLOAT, "mm", "phys.size;instr", "last part of the travel, gone at the precise speed"),
+    X,
+    Y,
+    Column("theta_deg", FLOAT, "deg", "pos.posAng;instr", "orientation in which the leg ends, in [-180, 180)"),
+)
 
 
 def _count(name: str, what: str, *, is_nullable: bool = False) -> Column:
@@ -250,24 +267,12 @@ _TABLES = (
             VISIT_ID,
             PATH,
             *_CONFIGURATION,
-            Column(
-                "configuration_time_median_s",
-                FLOAT,
-                "s",
-                "time.duration;stat.median",
-                "median rest time of moving robots",
-            ),
+            _MEDIAN,
             _LOWER_BOUND,
             _TICKS,
             _COLLISIONS,
             _UNROUTED,
-            Column(
-                "min_separation_mm",
-                FLOAT,
-                "mm",
-                "pos.distance;stat.min",
-                "least distance between two robots at any instant",
-            ),
+            _LEAST_SEPARATION,
         ),
         key=(*_VISIT_KEY, "path"),
         order=(*_VISIT_KEY, "path"),
@@ -281,15 +286,7 @@ _TABLES = (
             VISIT_ID,
             PATH,
             ROBOT_ID,
-            Column("leg", INT16, "", "meta.number", "leg of the robot on this path, counted from 0"),
-            Column("start_s", FLOAT, "s", "time.duration", "when it begins, from the start of the path"),
-            Column("rotate_deg", FLOAT, "deg", "pos.posAng;instr", "turn in place first, counter-clockwise"),
-            Column("dx_mm", FLOAT, "mm", "pos.cartesian.x;instr", "then go along the robot's own x axis"),
-            Column("dy_mm", FLOAT, "mm", "pos.cartesian.y;instr", "then go along the robot's own y axis"),
-            Column("precise_mm", FLOAT, "mm", "phys.size;instr", "last part of the travel, gone at the precise speed"),
-            X,
-            Y,
-            Column("theta_deg", FLOAT, "deg", "pos.posAng;instr", "orientation in which the leg ends, in [-180, 180)"),
+            *_LEG,
         ),
         key=(*_VISIT_KEY, "path", "robot_id", "leg"),
         order=(*_VISIT_KEY, "path", "robot_id", "leg"),
@@ -330,7 +327,7 @@ _TABLES = (
         "exposures",
         "a pointing of the telescope",
         (
-            Column("exposure_id", INT32, "", "meta.id;obs", "pointing, counted from 0 in time"),
+            _EXPOSURE_ID,
             NIGHT,
             Column("start_mjd", FLOAT, "d", "time.start;obs.exposure", "start of the shutter's opening, UTC, MJD"),
             SURVEY,
@@ -347,6 +344,49 @@ _TABLES = (
         ),
         key=("exposure_id",),
         order=("exposure_id",),
+    ),
+    Table(
+        "exposure_paths",
+        "the robots' path to a pointing's configuration, from where the last pointing left them (at night's start: park)",
+        (
+            _EXPOSURE_ID,
+            *_CONFIGURATION,
+            _MEDIAN,
+            _LOWER_BOUND,
+            _TICKS,
+            _COLLISIONS,
+            _UNROUTED,
+            _LEAST_SEPARATION,
+        ),
+        key=("exposure_id",),
+        order=("exposure_id",),
+    ),
+    Table(
+        "exposure_allocations",
+        "a robot in a pointing, as it really was",
+        (
+            _EXPOSURE_ID,
+            ROBOT_ID,
+            Column("target_id", INT64, "", "meta.id;src", "target that the robot holds; null if none", True),
+            Column("kind", TEXT, "", "meta.code.class", "kind of that target; null if none", True),
+            X,
+            Y,
+            Column("theta_deg", FLOAT, "deg", "pos.posAng;instr", "orientation in which it stands, in [-180, 180)"),
+            Column("travel_mm", FLOAT, "mm", "phys.size", "straight distance from where it stood"),
+            Column("missed_target_id", INT64, "", "meta.id;src", "target that it should hold and did not reach", True),
+            Column("reason", TEXT, "", "meta.code.error", "why it was not routed; null: it arrived", True),
+        ),
+        key=("exposure_id", "robot_id"),
+        order=("exposure_id", "robot_id"),
+        is_in_parts=True,
+    ),
+    Table(
+        "exposure_legs",
+        "a leg on the way to a pointing's configuration",
+        (_EXPOSURE_ID, ROBOT_ID, *_LEG),
+        key=("exposure_id", "robot_id", "leg"),
+        order=("exposure_id", "robot_id", "leg"),
+        is_in_parts=True,
     ),
     Table(
         "nights",

@@ -11,13 +11,13 @@ from survey_sim.instrument import Plate
 
 
 def match_again(
-    plate: Plate, start_mm: FloatArray, end_mm: FloatArray, has_target: BoolArray, travel_power: float, park_pull: float
+    plate: Plate, start_mm: FloatArray, end_mm: FloatArray, has_target: BoolArray, travel_power: float
 ) -> tuple[IntArray, FloatArray]:
     """Who goes where from where the robots stand, to hold the very targets of a visit.
 
     Exact: of all ways to give every target of the visit to a live robot of its kind in reach, the one of least sum of
-    travel^travel_power + park_pull (distance from park to target)^travel_power. Idle robots rest at the legal place nearest
-    to where they stand. Where one finds none, the visit's own allocation is kept, which has room for all.
+    travel^travel_power. Idle robots rest at the legal place nearest to where they stand. Where one finds none, the visit's
+    own allocation is kept, which has room for all.
 
     Parameters
     ----------
@@ -39,11 +39,10 @@ def match_again(
     target_mm = end_mm[holder]
     park_distance = np.hypot(*(target_mm[None] - plate.park_mm[taker, None]).transpose(2, 0, 1))
     travel = np.hypot(*(target_mm[None] - start_mm[taker, None]).transpose(2, 0, 1))
-    cost = travel**travel_power + park_pull * park_distance**travel_power
     # The holder itself reaches its target, whatever the rounding.
     is_open = (park_distance <= plate.patrol_radius_mm[taker, None]) | (taker[:, None] == holder[None])
     is_open &= plate.is_guide[taker, None] == plate.is_guide[holder][None]
-    rows, columns = linear_sum_assignment(np.where(is_open, cost, np.inf))
+    rows, columns = linear_sum_assignment(np.where(is_open, travel**travel_power, np.inf))
     giver = np.full(plate.n_robot, -1)
     giver[taker[rows]] = holder[columns]
     goal_mm = np.where((giver >= 0)[:, None], end_mm[giver], start_mm)

@@ -1,6 +1,7 @@
 """The schedule: nights of a site, twilight, Moon and weather, and which visit is observed when."""
 
 from survey_sim.schedule.nightly import Schedule, make_schedule
+from survey_sim.schedule.robots import Chain, Configuration, Robots
 from survey_sim.schedule.settings import Programme, ScheduleSettings
 
-__all__ = ["Programme", "Schedule", "ScheduleSettings", "make_schedule"]
+__all__ = ["Chain", "Configuration", "Programme", "Robots", "Schedule", "ScheduleSettings", "make_schedule"]

@@ -53,16 +53,14 @@ class Fields(NamedTuple):
 class Visits(NamedTuple):
     """Visits in order of survey, tile, visit; m visits.
 
-    tile: (m,); exposure_s, start_to_target_s, start_to_park_s, park_to_target_s: (m,); is_from_park: (m,)
-    start_to_target begins at park; first_holding: (m + 1,) places in `target`; target: (n_holding,) targets held.
+    tile: (m,); exposure_s, start_to_target_s, park_to_target_s: (m,); first_holding: (m + 1,) places in `target`; target:
+    (n_holding,) targets held.
     """
 
     tile: IntArray
     exposure_s: FloatArray
     start_to_target_s: FloatArray
-    start_to_park_s: FloatArray
     park_to_target_s: FloatArray
-    is_from_park: BoolArray
     first_holding: IntArray
     target: IntArray
 
@@ -176,11 +174,10 @@ def uniform(key, target_id, attempt):
 
 @njit(cache=True)
 def configuration_time(visits, visit, previous, constant_s):
-    """Time that the robots need for a visit after the previous pointing's visit (-1: parked), s.
+    """Time that the robots usually need for a visit after the previous pointing's visit (-1: parked), s.
 
-    The same visit again: they stand where they should. The next visit of the same tile: its own routed path. Any
-    other: back to park, which takes as long as the way from park (time reversal), and out again. `constant_s` >= 0
-    replaces all of these.
+    From park: the visit's own way. The same visit again: none. The next visit of the same tile: its own way. Any other:
+    the longer of the two visits' ways from park (measured: docs/schedule.md). `constant_s` >= 0 replaces all of these.
     """
     if constant_s >= 0.0:
         return constant_s
@@ -189,10 +186,8 @@ def configuration_time(visits, visit, previous, constant_s):
     if previous == visit:
         return 0.0
     if previous == visit - 1 and visits.tile[previous] == visits.tile[visit]:
-        if visits.is_from_park[visit]:
-            return visits.start_to_park_s[visit] + visits.park_to_target_s[visit]
         return visits.start_to_target_s[visit]
-    return visits.park_to_target_s[previous] + visits.park_to_target_s[visit]
+    return max(visits.park_to_target_s[previous], visits.park_to_target_s[visit])
 
 
 @njit(cache=True)

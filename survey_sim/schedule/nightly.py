@@ -28,7 +28,7 @@ from survey_sim.schedule.ephemeris import Ephemeris, make_ephemeris
 from survey_sim.schedule.fields import LookAhead, make_fields
 from survey_sim.schedule.kernels import Rules, State
 from survey_sim.schedule.problem import Problem, initial_state, make_problem
-from survey_sim.schedule.robots import Chain, Robots, TabledRobots
+from survey_sim.schedule.robots import Chain, Robots, UsualRobots
 from survey_sim.schedule.settings import SURVEY_RULES, Programme, ScheduleSettings, SurveyRule
 from survey_sim.schedule.sky import Night, make_nights
 from survey_sim.schedule.status import exposures_table, find_warnings, nights_table, target_status_table
@@ -64,6 +64,7 @@ def make_schedule(
     seed: int,
     *,
     allocation_reasons: pl.DataFrame | None = None,
+    robots: Robots | None = None,
 ) -> Schedule:
     """Observe the visits of all surveys on one telescope, from the first night to the last.
 
@@ -80,6 +81,9 @@ def make_schedule(
         Of the weather and of the targets' successes.
     allocation_reasons
         Frame target_id, reason: why targets did not get (all) their fibres; default "not-allocated".
+    robots
+        Who knows how long the robots really take; by default every configuration takes the usual time, see
+        `kernels.configuration_time`.
 
     Raises
     ------
@@ -88,12 +92,12 @@ def make_schedule(
 
     Notes
     -----
-    Visits of a tile are taken in order, since each is configured from the one before. The robots' configuration runs
-    while the CCD reads out and the telescope slews: a pointing pays the longest of the three, then its calibration, then
-    the exposure. Configuration times by `kernels.configuration_time`; every night begins with all robots at park. An
-    exposure that cloud interrupts, or keeps from starting, does not count, and its visit stays on the list with its
-    robots in place. Targets of a good exposure succeed by `settings.success_frac`; those that fail bring their visits
-    back, see `repeat_min_frac`.
+    Visits of a tile are taken in order. The robots' configuration runs while the CCD reads out and the telescope slews: a
+    pointing pays the longest of the three, then its calibration, then the exposure. The choice is made with the usual
+    configuration times; the chosen visit then pays what `robots` really take, or is passed over for the moment if it does
+    not fit so. Every night begins with all robots at park. An exposure that cloud interrupts, or keeps from starting, does
+    not count, and its visit stays on the list. Targets of a good exposure succeed by `settings.success_frac`, those that no
+    robot reached excepted; those that fail bring their visits back, see `repeat_min_frac`.
     """
     _check_names(programmes, settings)
     is_routed = settings.configuration_s == "routed"
@@ -104,8 +108,7 @@ def make_schedule(
     nights = make_nights(ephemeris, is_cloudy, rules, settings)
     look_ahead = LookAhead.of(problem, ephemeris, nights, rules, settings)
     survey = _Survey(problem, ephemeris, nights, rules, look_ahead, _numbers(problem, rules, settings, seed))
-    robots = TabledRobots(problem.visits, survey.numbers.configuration_s, len(nights))
-    logs, complete, state = survey.observe(robots)
+    logs, complete, state = survey.observe(robots or UsualRobots(len(nights)))
     return Schedule(
         exposures=exposures_table(problem, ephemeris, nights, logs),
         nights=nights_table(problem, nights, logs, complete),
@@ -178,7 +181,8 @@ def observe_night(
     course = kernels.begin_night(night, fields, rules, state)
     while (tile := kernels.next_tile(night, fields, visits, rules, state, course)) >= 0:
         visit = int(course.candidate[tile])
-        way = chain.configure(visit)
+        usual_s = kernels.configuration_time(visits, visit, course.place[kernels.PREVIOUS], rules.configuration_s)
+        way = chain.configure(visit, usual_s)
         lost = np.searchsorted(targets.target_id, way.lost)
         if kernels.point(night, fields, visits, targets, rules, state, course, tile, way.time_s, lost, log):
             chain.go(visit)

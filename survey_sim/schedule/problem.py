@@ -11,13 +11,14 @@ from survey_sim.errors import InputError, did_you_mean
 from survey_sim.geometry import unit_vectors
 from survey_sim.schedule.kernels import State, Targets, Visits, add_gains
 from survey_sim.schedule.settings import Programme
-from survey_sim.schema import PATHS
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _TILE = ["survey", "tile_id"]
 _VISIT = ["survey", "tile_id", "visit_id"]
+# Paths by which the usual configuration time is judged.
+_USED_PATHS = ("start_to_target", "park_to_target")
 _KEY_TYPES = {"survey": pl.String, "tile_id": pl.Int32, "visit_id": pl.Int16, "target_id": pl.Int64}
 
 
@@ -84,7 +85,7 @@ def make_problem(
     exposure_s = np.zeros(n_visit)
     by_programme = np.array([programme.exposure_s for programme in programmes])
     np.maximum.at(exposure_s, held_visit, by_programme[target_programme[held_target]])
-    times = _path_times(paths, visit_table) if is_routed else np.zeros((len(PATHS), n_visit))
+    times = _path_times(paths, visit_table) if is_routed else np.zeros((len(_USED_PATHS), n_visit))
     return Problem(
         programmes=tuple(programmes),
         surveys=tuple(surveys),
@@ -96,10 +97,8 @@ def make_problem(
         visits=Visits(
             tile=visit_tile,
             exposure_s=exposure_s,
-            start_to_target_s=times[PATHS.index("start_to_target")],
-            start_to_park_s=times[PATHS.index("start_to_park")],
-            park_to_target_s=times[PATHS.index("park_to_target")],
-            is_from_park=(visit_table["start"] == "park").to_numpy().astype(np.bool_),
+            start_to_target_s=times[0],
+            park_to_target_s=times[1],
             first_holding=_starts(held_visit, n_visit),
             target=held_target,
         ),
@@ -182,9 +181,9 @@ def _held(holdings: pl.DataFrame, visit_table: pl.DataFrame, science: pl.DataFra
 
 
 def _path_times(paths: pl.DataFrame, visit_table: pl.DataFrame) -> FloatArray:
-    """(3, n_visit) configuration times by path, s, in the order of `PATHS`."""
-    times = np.empty((len(PATHS), len(visit_table)))
-    for row, path in enumerate(PATHS):
+    """(2, n_visit) configuration times by path, s, in the order of `_USED_PATHS`."""
+    times = np.empty((len(_USED_PATHS), len(visit_table)))
+    for row, path in enumerate(_USED_PATHS):
         one = paths.filter(pl.col("path") == path).select(*_VISIT, "configuration_time_s")
         joined = visit_table.select(_VISIT).join(one, on=_VISIT, how="left", maintain_order="left")
         lost = joined.filter(pl.col("configuration_time_s").is_null())

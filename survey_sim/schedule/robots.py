@@ -9,8 +9,6 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.schedule.kernels import Visits, configuration_time
-
 IntArray = npt.NDArray[np.int64]
 
 
@@ -37,8 +35,11 @@ class Chain(Protocol):
     def is_exact(self) -> bool:
         """Whether no time that was given is an estimate."""
 
-    def configure(self, visit: int) -> Configuration:
-        """The way to a visit from where the robots stand; they do not go yet."""
+    def configure(self, visit: int, usual_s: float) -> Configuration:
+        """The way to a visit from where the robots stand; they do not go yet.
+
+        `usual_s`: what such a way usually takes, the estimate where it is not known.
+        """
 
     def go(self, visit: int) -> None:
         """The pointing is made: the robots go to the visit just asked for."""
@@ -65,20 +66,15 @@ class Robots(Protocol):
         """These nights, the next ones, are as they shall be."""
 
 
-class TabledRobots:
-    """Robots whose times are looked up: a constant, or those of the visits' paths.
+class UsualRobots:
+    """Robots that take the usual time for every way, and of which none is lost."""
 
-    Parameters
-    ----------
-    constant_s
-        Time of every configuration, s; < 0: that of `kernels.configuration_time`.
-    """
+    def __init__(self, n_ahead: int) -> None:
+        self.n_ahead = n_ahead
 
-    def __init__(self, visits: Visits, constant_s: float, n_ahead: int) -> None:
-        self.visits, self.constant_s, self.n_ahead = visits, constant_s, n_ahead
-
-    def begin_night(self, *, is_exact: bool) -> TabledChain:
-        return TabledChain(self.visits, self.constant_s)
+    def begin_night(self, *, is_exact: bool) -> UsualChain:
+        """A night."""
+        return UsualChain()
 
     def prepare(self, chains: Sequence[Chain]) -> None:
         """Nothing to learn."""
@@ -87,17 +83,14 @@ class TabledRobots:
         """Nothing to keep."""
 
 
-class TabledChain:
-    """One night of `TabledRobots`."""
+class UsualChain:
+    """One night of `UsualRobots`."""
 
     is_exact = True
 
-    def __init__(self, visits: Visits, constant_s: float) -> None:
-        self.visits, self.constant_s, self.previous = visits, constant_s, -1
-
-    def configure(self, visit: int) -> Configuration:
-        time_s = configuration_time(self.visits, visit, self.previous, self.constant_s)
-        return Configuration(time_s, np.empty(0, dtype=np.int64))
+    def configure(self, visit: int, usual_s: float) -> Configuration:
+        """The usual time."""
+        return Configuration(usual_s, np.empty(0, dtype=np.int64))
 
     def go(self, visit: int) -> None:
-        self.previous = visit
+        """Nothing to note."""

@@ -49,6 +49,18 @@ class PlayedPath:
         n_unrouted = sum(reason is not None for reason in self.reason)
         return {**own, "unrouted": n_unrouted, "lower_bound_s": self.lower_bound_s}
 
+    def path_columns(self) -> dict[str, float | int]:
+        """All figures of the path."""
+        more = {name: getattr(self.played, name) for name in ("configuration_time_median_s", "min_separation_mm")}
+        return {**self.figures(), **more}
+
+    def leg_columns(self, plate: Plate) -> dict[str, npt.NDArray[Any]]:
+        """(n_leg,) columns of the legs."""
+        return {
+            "robot_id": plate.robot_id[self.legs.robot],
+            **{name: getattr(self.legs, name) for name in _LEG_COLUMNS},
+        }
+
 
 class Rows:
     """Rows of one table, gathered as arrays and made a frame once."""
@@ -128,16 +140,9 @@ class TileRows:
     def add_path(self, path: str, made: PlayedPath) -> None:
         """A path of the visit that comes next: `paths`, `legs`, `robot_times`."""
         keys = {**self._keys(self.n_visit), "path": path}
-        played, legs = made.played, made.legs
-        self._rows["paths"].add(
-            1,
-            **keys,
-            **made.figures(),
-            configuration_time_median_s=played.configuration_time_median_s,
-            min_separation_mm=played.min_separation_mm,
-        )
-        leg_columns = {name: getattr(legs, name) for name in _LEG_COLUMNS}
-        self._rows["legs"].add(len(legs), **keys, robot_id=self.plate.robot_id[legs.robot], **leg_columns)
+        played = made.played
+        self._rows["paths"].add(1, **keys, **made.path_columns())
+        self._rows["legs"].add(len(made.legs), **keys, **made.leg_columns(self.plate))
         self._rows["robot_times"].add(
             self.plate.n_robot,
             **keys,

@@ -93,6 +93,8 @@ class OutputSettings(Settings):
 
     # Tiles of one part, which is also what a worker is given at a time; results do not depend on it.
     tiles_per_part: int = Field(8, ge=1)
+    # Nights of one part of what the plate did.
+    nights_per_part: int = Field(64, ge=1)
 
 
 class PipelineSettings(Settings):

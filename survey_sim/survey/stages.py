@@ -19,7 +19,7 @@ from survey_sim.folders import cache_folder, data_folder
 from survey_sim.instrument import robots_table
 from survey_sim.schema import TABLES
 from survey_sim.survey.batches import Batch, BatchResult, run_batches
-from survey_sim.survey.nights import schedule_run
+from survey_sim.survey.nights import WAY_ROOMS, schedule_run, way_parameters
 from survey_sim.survey.pooling import PLAN, PoolRules, pool_survey
 from survey_sim.survey.progress import tile_progress
 from survey_sim.survey.rows import TILE_TABLES
@@ -33,7 +33,7 @@ STAGE_ROOMS = {
     "tiles": ("tiling",),
     "pool": ("tiling", "allocation", "survey/pooling", "survey/tile"),
     "visits": ("allocation", "routing", "simulation", "survey/rows", "survey/tile"),
-    "schedule": ("schedule",),
+    "schedule": ("schedule", "survey/nights", *WAY_ROOMS),
     "report": ("plotting", "player", "survey/report"),
 }
 # What a programme says that does not change which targets it has.
@@ -43,6 +43,8 @@ _OF_POOLING = (
     *("wanted_standard", "wanted_sky", "wanted_guide", "min_standard", "min_sky", "min_guide", "min_sky_region"),
     *("sky_regions", "priority_gain", "effort", "min_gain", "mag_ranges"),
 )
+# Tables of the schedule that every run has.
+NIGHT_TABLES = ("exposures", "nights", "target_status")
 # Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
 GATHERED = tuple(table for table in TILE_TABLES if not TABLES[table].is_in_parts)
 
@@ -173,6 +175,8 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
             "seed": dump["run"]["seed"],
             "schedule": dump["schedule"],
             "programme": [(p.name, p.survey, p.exposure_s, p.completeness_frac) for p in run.settings.science],
+            "ways": way_parameters(run),
+            "nights_per_part": dump["output"]["nights_per_part"],
         },
         "report": {"report": dump["report"], "name": dump["run"]["name"]},
     }
@@ -180,11 +184,17 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
 
 
 def make_night_schedule(run: Run) -> None:
-    """Visits -> exposures, nights, status of every science target."""
+    """Visits -> exposures and what the plate did at each, nights, status of every science target."""
     made = schedule_run(run)
-    for table in ("exposures", "nights", "target_status"):
+    for table in NIGHT_TABLES:
         tables.write(getattr(made, table), table, run.table(table))
     _warn(run, "schedule", made.warnings)
+
+
+def scheduled_tables(run: Run) -> tuple[str, ...]:
+    """Tables of one file each that the schedule makes."""
+    followed = ("exposure_paths",) if run.settings.schedule.configuration_s == "routed" else ()
+    return (*NIGHT_TABLES, *followed)
 
 
 def draw_report(run: Run) -> None:

@@ -83,7 +83,7 @@ class Workers:
                 result, spent = future.result()
             except FutureCancelledError:
                 raise InputError(
-                    "the scheduler has gone away", place="--scheduler", remedy="run again: finished tiles are kept"
+                    "the scheduler has gone away", place="--scheduler", remedy="run again: what is finished is kept"
                 ) from None
             future.release()
             self.cpu_s += spent.cpu_s

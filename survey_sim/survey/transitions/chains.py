@@ -1,0 +1,203 @@
+"""Chains of configurations: targets matched again to the robots from where the last pointing left them, and routed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+
+from survey_sim import tables
+from survey_sim.allocation import match_again
+from survey_sim.geometry import FloatArray
+from survey_sim.instrument import Plate
+from survey_sim.routing import RoutingSettings, UnroutedReason, route
+from survey_sim.schema import TARGET_KINDS
+from survey_sim.simulation import simulate
+from survey_sim.survey.rows import PlayedPath, Rows
+from survey_sim.survey.tile import REASON_CODES, State, stream
+
+IntArray = npt.NDArray[np.int64]
+
+EXPOSURE_TABLES = ("exposure_allocations", "exposure_legs", "exposure_paths")
+VISIT_KEY = ("survey", "tile_id", "visit_id")
+_SCIENCE = TARGET_KINDS.index("science")
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A visit's own configuration.
+
+    Attributes
+    ----------
+    visit
+        Survey, tile and visit.
+    target_id, kind
+        (n_robot,) what each robot holds, -1 if nothing; its kind, place in `TARGET_KINDS`.
+    end_mm
+        (n_robot, 2) where each robot ends, mm, plate frame.
+    travel_power
+        Power of travel whose sum is least.
+    """
+
+    visit: tuple[str, int, int]
+    target_id: IntArray
+    kind: npt.NDArray[np.int8]
+    end_mm: FloatArray
+    travel_power: float
+
+    def digest(self) -> bytes:
+        """Of all that it holds."""
+        digest = sha256(repr((self.visit, self.travel_power)).encode())
+        for array in (self.target_id, self.kind, self.end_mm):
+            digest.update(array.tobytes())
+        return digest.digest()
+
+
+@dataclass(frozen=True)
+class Configurations:
+    """Every visit's own configuration, in order of survey, tile and visit.
+
+    Attributes
+    ----------
+    visits
+        Keys, (n_visit,) rows.
+    target_id, kind, end_mm
+        (n_visit, n_robot) and (n_visit, n_robot, 2), see `Goal`.
+    travel_power
+        By survey.
+    """
+
+    visits: pl.DataFrame
+    target_id: IntArray
+    kind: npt.NDArray[np.int8]
+    end_mm: FloatArray
+    travel_power: Mapping[str, float]
+
+    @classmethod
+    def read(cls, run_dir: Path, plate: Plate, travel_power: Mapping[str, float]) -> Configurations:
+        """Those of a run's `visits` and `allocations`, part by part."""
+        visits = tables.read(run_dir, "visits").sort(VISIT_KEY).select(VISIT_KEY)
+        shape = (len(visits), plate.n_robot)
+        made = cls(visits, np.full(shape, -1), np.full(shape, -1, np.int8), np.zeros((*shape, 2)), travel_power)
+        numbered = visits.with_row_index("visit")
+        codes = {kind: code for code, kind in enumerate(TARGET_KINDS)}
+        for part in tables.files(run_dir, "allocations"):
+            rows = pl.read_parquet(part).join(numbered, on=VISIT_KEY, how="inner")
+            visit, robot = rows["visit"].to_numpy(), np.searchsorted(plate.robot_id, rows["robot_id"].to_numpy())
+            kind = rows["kind"].replace_strict(codes, default=-1, return_dtype=pl.Int8)
+            made.target_id[visit, robot] = rows["target_id"].fill_null(-1).to_numpy()
+            made.kind[visit, robot] = kind.to_numpy()
+            made.end_mm[visit, robot] = rows.select("x_mm", "y_mm").to_numpy()
+        return made
+
+    def goal(self, visit: int) -> Goal:
+        """The configuration of one visit."""
+        key = self.visits.row(visit)
+        return Goal(key, self.target_id[visit], self.kind[visit], self.end_mm[visit], self.travel_power[key[0]])
+
+
+@dataclass(frozen=True)
+class ChainJob:
+    """Configurations one after the other.
+
+    Attributes
+    ----------
+    start
+        Where the robots stand before the first.
+    keys
+        Name of each step: a digest of all that led there.
+    """
+
+    start: State
+    keys: tuple[str, ...]
+    goals: tuple[Goal, ...]
+
+
+@dataclass(frozen=True)
+class ChainBatch:
+    """Chains that one process does at a time, and what they share."""
+
+    jobs: tuple[ChainJob, ...]
+    plate: Plate
+    routing: RoutingSettings
+    seed: int
+
+
+@dataclass(frozen=True)
+class ChainResult:
+    """What came of a batch.
+
+    Attributes
+    ----------
+    frames
+        By table of `EXPOSURE_TABLES`; `exposure_id` counts the steps of the batch.
+    steps
+        Frame key, step, time_s, lost (ids of science targets that no robot reached).
+    """
+
+    frames: dict[str, pl.DataFrame]
+    steps: pl.DataFrame
+
+
+def route_chains(batch: ChainBatch) -> ChainResult:
+    """Do all chains of a batch."""
+    rows = {table: Rows(table) for table in EXPOSURE_TABLES}
+    steps: list[tuple[str, int, float, list[int]]] = []
+    for job in batch.jobs:
+        state = job.start
+        for key, goal in zip(job.keys, job.goals, strict=True):
+            state, time_s, lost = _go_on(batch, goal, state, len(steps), rows)
+            steps.append((key, len(steps), time_s, lost))
+    schema = pl.Schema({"key": pl.String(), "step": pl.Int32(), "time_s": pl.Float64(), "lost": pl.List(pl.Int64())})
+    known = pl.DataFrame(steps, schema=schema, orient="row")
+    frames = {table: gathered.frame() for table, gathered in rows.items()}
+    return ChainResult(frames, known)
+
+
+def _go_on(
+    batch: ChainBatch, goal: Goal, state: State, step: int, rows: Mapping[str, Rows]
+) -> tuple[State, float, list[int]]:
+    """Configure for one visit: where the robots stand then, how long it took, s, and science targets lost."""
+    plate, key = batch.plate, {"exposure_id": step}
+    giver, goal_mm = match_again(plate, state.position_mm, goal.end_mm, goal.target_id >= 0, goal.travel_power)
+    rng = stream(batch.seed, "transition", *goal.visit)
+    routed = route(plate, state.position_mm, state.theta_deg, goal_mm, batch.routing, rng)
+    played = simulate(plate, state.position_mm, state.theta_deg, routed.legs)
+    made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
+    rows["exposure_paths"].add(1, **key, **made.path_columns())
+    rows["exposure_legs"].add(len(made.legs), **key, **made.leg_columns(plate))
+    is_arrived = routed.reason == UnroutedReason.ARRIVED
+    given, kind = np.where(giver >= 0, goal.target_id[giver], -1), np.where(giver >= 0, goal.kind[giver], -1)
+    rows["exposure_allocations"].add(
+        plate.n_robot,
+        **key,
+        robot_id=plate.robot_id,
+        target_id=np.where(is_arrived & (given >= 0), given, np.nan),
+        kind=np.array([*TARGET_KINDS, None], dtype=object)[np.where(is_arrived, kind, -1)],
+        x_mm=routed.end_mm[:, 0],
+        y_mm=routed.end_mm[:, 1],
+        theta_deg=routed.end_theta_deg,
+        travel_mm=np.hypot(*(routed.end_mm - state.position_mm).T),
+        missed_target_id=np.where(~is_arrived & (given >= 0), given, np.nan),
+        reason=made.reason,
+    )
+    lost = given[~is_arrived & (kind == _SCIENCE)]
+    return State(routed.end_mm, routed.end_theta_deg), played.configuration_time_s, sorted(lost.tolist())
+
+
+def batches(jobs: Sequence[ChainJob], n_step: int, plate: Plate, routing: RoutingSettings, seed: int) -> list[ChainBatch]:
+    """Jobs in order, gathered to about so many steps each."""
+    made: list[list[ChainJob]] = []
+    size = n_step
+    for job in jobs:
+        if size >= n_step:
+            made.append([])
+            size = 0
+        made[-1].append(job)
+        size += len(job.keys)
+    return [ChainBatch(tuple(some), plate, routing, seed) for some in made]

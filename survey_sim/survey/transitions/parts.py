@@ -1,0 +1,101 @@
+"""What the plate did, as tables: a part for each group of nights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+
+import polars as pl
+
+from survey_sim import tables
+from survey_sim.schema import TABLES
+from survey_sim.survey.run import Run
+from survey_sim.survey.transitions.chains import EXPOSURE_TABLES
+from survey_sim.survey.transitions.robots import PlateRobots
+
+_IN_PARTS = tuple(table for table in EXPOSURE_TABLES if TABLES[table].is_in_parts)
+
+
+def write_parts(run: Run, robots: PlateRobots) -> None:
+    """Write `EXPOSURE_TABLES` of the nights that the robots have been through; parts that are as they shall be stay."""
+    n = run.settings.output.nights_per_part
+    paths, first, names = [tables.empty("exposure_paths")], 0, set()
+    for begin in range(0, len(robots.nights), n):
+        keys = [key for night in robots.nights[begin : begin + n] for key in night]
+        name = f"nights-{begin:05d}"
+        names.add(name)
+        signature = sha256(json.dumps([first, *keys]).encode()).hexdigest()
+        paths.append(_gathered(robots, keys, first, "exposure_paths"))
+        if not _is_whole(run, name, signature):
+            _write(run, robots, keys, first, name, signature)
+        first += len(keys)
+    _drop(run, names)
+    tables.write(pl.concat(paths), "exposure_paths", run.table("exposure_paths"))
+    robots.ways.prune({key for night in robots.nights for key in night})
+
+
+def drop_parts(run: Run) -> None:
+    """Remove `EXPOSURE_TABLES`, of a schedule in which robots are not followed."""
+    _drop(run, set())
+    run.table("exposure_paths").unlink(missing_ok=True)
+
+
+def are_parts_whole(run: Run) -> bool:
+    """Whether every part that the manifests name is there, byte for byte."""
+    return all(_is_whole(run, manifest.stem) for manifest in sorted(_manifests(run)))
+
+
+def _write(run: Run, robots: PlateRobots, keys: list[str], first: int, name: str, signature: str) -> None:
+    """Write a part of each table, and last the manifest that says they are whole."""
+    checksums = {}
+    for table in _IN_PARTS:
+        content = tables.encode(_gathered(robots, keys, first, table), table)
+        path = run.table(table) / f"{name}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tables.write_bytes(content, path, aside=run.folder)
+        checksums[table] = sha256(content).hexdigest()
+    kept = {"name": name, "signature": signature, "sha256": checksums}
+    tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), run.state / "nights" / f"{name}.json")
+
+
+def _gathered(robots: PlateRobots, keys: list[str], first: int, table: str) -> pl.DataFrame:
+    """Rows of the steps of some nights, exposures counted from `first`."""
+    by_file: dict[str, list[tuple[int, int]]] = {}
+    for number, key in enumerate(keys):
+        step = robots.ways.steps[key]
+        by_file.setdefault(step.file, []).append((step.place, first + number))
+    found = [tables.empty(table)]
+    for file, places in by_file.items():
+        schema = {"exposure_id": pl.Int32, "own": pl.Int32}
+        numbers = pl.DataFrame(places, schema=schema, orient="row")
+        rows = robots.ways.read(file)[table].join(numbers, on="exposure_id", how="inner")
+        found.append(rows.with_columns(exposure_id="own").drop("own"))
+    return pl.concat(found)
+
+
+def _is_whole(run: Run, name: str, signature: str | None = None) -> bool:
+    """Whether a part is there, byte for byte, made of the same steps."""
+    manifest = run.state / "nights" / f"{name}.json"
+    if not manifest.is_file():
+        return False
+    kept = json.loads(manifest.read_text())
+    parts = {run.table(table) / f"{name}.parquet": checksum for table, checksum in kept["sha256"].items()}
+    is_same = signature is None or kept["signature"] == signature
+    return is_same and all(path.is_file() and tables.checksum(path) == checksum for path, checksum in parts.items())
+
+
+def _manifests(run: Run) -> Iterator[Path]:
+    return (run.state / "nights").glob("*.json")
+
+
+def _drop(run: Run, names: set[str]) -> None:
+    """Remove all parts but those named."""
+    for table in _IN_PARTS:
+        for path in run.table(table).glob("*.parquet"):
+            if path.stem not in names:
+                path.unlink()
+    for path in _manifests(run):
+        if path.stem not in names:
+            path.unlink()

@@ -1,0 +1,218 @@
+"""The robots as the schedule sees them: chains already routed are looked up, others are routed, many nights at once.
+
+What a chain does is named by a digest of all that it depends on: the instrument, the router and its seed, the code, and the
+visits since the night began. So ways are kept between runs: a run that was killed, or whose schedule is changed, routes only
+what it has not routed before.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from survey_sim import tables
+from survey_sim.instrument import Plate
+from survey_sim.routing import RoutingSettings
+from survey_sim.schedule.robots import Chain, Configuration
+from survey_sim.survey.tile import State
+from survey_sim.survey.transitions.chains import (
+    EXPOSURE_TABLES,
+    ChainJob,
+    ChainResult,
+    Configurations,
+    batches,
+    route_chains,
+)
+from survey_sim.survey.workers import Workers
+
+# Nights scheduled ahead before their ways are routed together, and steps of one task: enough to keep many workers busy.
+N_AHEAD = 64
+N_STEP_TASK = 60
+_STEPS = "steps"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A way that is known: what the schedule needs of it, and the file and place where the rest is."""
+
+    configuration: Configuration
+    file: str
+    place: int
+
+
+class Ways:
+    """Ways already routed, on disk: files of some chains each, whole or absent.
+
+    Parameters
+    ----------
+    folder
+        Where they are kept.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.steps: dict[str, Step] = {}
+        self.read = lru_cache(maxsize=16)(self._read)
+        for path in sorted(folder.glob("*.zip")):
+            try:
+                with zipfile.ZipFile(path) as kept:
+                    is_whole = kept.testzip() is None
+                    steps = pl.read_parquet(BytesIO(kept.read(_STEPS)))
+            except (zipfile.BadZipFile, pl.exceptions.PolarsError, KeyError, OSError):
+                is_whole = False
+            if is_whole:
+                self._index(path.name, steps)
+            else:
+                path.unlink(missing_ok=True)
+
+    def keep(self, result: ChainResult) -> None:
+        """Write what came of a batch."""
+        if result.steps.is_empty():
+            return
+        name = f"{sha256(''.join(result.steps['key']).encode()).hexdigest()[:32]}.zip"
+        content = BytesIO()
+        with zipfile.ZipFile(content, "w") as kept:
+            for member, frame in ((_STEPS, result.steps), *result.frames.items()):
+                buffer = BytesIO()
+                frame.write_parquet(buffer, compression="zstd", statistics=False)
+                kept.writestr(member, buffer.getvalue())
+        tables.write_bytes(content.getvalue(), self.folder / name)
+        self._index(name, result.steps)
+
+    def prune(self, keys: set[str]) -> None:
+        """Remove the files that hold none of these steps."""
+        wanted = {self.steps[key].file for key in keys}
+        for path in self.folder.glob("*.zip"):
+            if path.name not in wanted:
+                path.unlink()
+
+    def _index(self, name: str, steps: pl.DataFrame) -> None:
+        for key, place, time_s, lost in steps.iter_rows():
+            self.steps.setdefault(key, Step(Configuration(time_s, np.array(lost, dtype=np.int64)), name, place))
+
+    def _read(self, name: str) -> dict[str, pl.DataFrame]:
+        """The frames of a file, by table."""
+        with zipfile.ZipFile(self.folder / name) as kept:
+            return {table: pl.read_parquet(BytesIO(kept.read(table))) for table in EXPOSURE_TABLES}
+
+
+@dataclass
+class PlateRobots:
+    """The robots of a plate, for the schedule; see `schedule.robots.Robots`.
+
+    Attributes
+    ----------
+    fixed
+        Digest of all that ways depend on besides the visits and the attributes here.
+    on_accept
+        Called with the nights and pointings that are as they shall be.
+    nights
+        Steps of each night accepted so far.
+    """
+
+    configurations: Configurations
+    plate: Plate
+    routing: RoutingSettings
+    seed: int
+    fixed: str
+    ways: Ways
+    workers: Workers
+    on_accept: Callable[[int, int], None]
+    n_ahead: int = N_AHEAD
+    nights: list[list[str]] = field(default_factory=list)
+    _digests: dict[int, bytes] = field(default_factory=dict)
+
+    @property
+    def parked(self) -> State:
+        """All robots at park, theta 0."""
+        return State(self.plate.park_mm, np.zeros(self.plate.n_robot))
+
+    def begin_night(self, *, is_exact: bool) -> PlateChain:
+        """All robots at park; exact: what is not known is routed at once."""
+        return PlateChain(self, must_be_exact=is_exact)
+
+    def prepare(self, chains: Sequence[Chain]) -> None:
+        """Route what is not known of these nights."""
+        jobs = {job.keys[-1]: job for chain in chains if isinstance(chain, PlateChain) and (job := chain.job()) is not None}
+        tasks = batches(list(jobs.values()), N_STEP_TASK, self.plate, self.routing, self.seed)
+        for result in self.workers.stream(route_chains, tasks):
+            self.ways.keep(result)
+
+    def accept(self, chains: Sequence[Chain]) -> None:
+        """These nights, the next ones, are as they shall be."""
+        nights = [chain.keys for chain in chains if isinstance(chain, PlateChain)]
+        self.nights += nights
+        self.on_accept(len(nights), sum(map(len, nights)))
+
+    def key(self, before: str, visit: int) -> str:
+        """Name of the step to a visit after another step (or `fixed`, from park)."""
+        if visit not in self._digests:
+            self._digests[visit] = self.configurations.goal(visit).digest()
+        return sha256(before.encode() + self._digests[visit]).hexdigest()[:32]
+
+    def state_after(self, key: str) -> State:
+        """Where the robots stand after a known step."""
+        step = self.ways.steps[key]
+        rows = self.ways.read(step.file)["exposure_allocations"].filter(exposure_id=step.place)
+        return State(rows.select("x_mm", "y_mm").to_numpy(order="c"), rows["theta_deg"].to_numpy())
+
+    def route_now(self, job: ChainJob) -> None:
+        """Route a chain here."""
+        for batch in batches([job], 1, self.plate, self.routing, self.seed):
+            self.ways.keep(route_chains(batch))
+
+
+class PlateChain:
+    """One night of `PlateRobots`.
+
+    Attributes
+    ----------
+    visits, keys
+        Pointings so far: places of their visits, names of their steps.
+    is_exact
+        Whether no time that was given is an estimate.
+    """
+
+    def __init__(self, robots: PlateRobots, *, must_be_exact: bool) -> None:
+        self.robots, self.must_be_exact = robots, must_be_exact
+        self.visits: list[int] = []
+        self.keys: list[str] = []
+        self.is_exact = True
+
+    def configure(self, visit: int, usual_s: float) -> Configuration:
+        """The way to a visit from where the robots stand."""
+        key = self._key(visit)
+        if key not in self.robots.ways.steps and self.must_be_exact:
+            self.robots.route_now(self._job(self.keys, (key,), (visit,)))
+        step = self.robots.ways.steps.get(key)
+        if step is None:
+            self.is_exact = False
+            return Configuration(usual_s, np.empty(0, dtype=np.int64))
+        return step.configuration
+
+    def go(self, visit: int) -> None:
+        """The pointing is made."""
+        self.keys.append(self._key(visit))
+        self.visits.append(visit)
+
+    def job(self) -> ChainJob | None:
+        """What is not known of the pointings so far."""
+        n_known = next((n for n, key in enumerate(self.keys) if key not in self.robots.ways.steps), len(self.keys))
+        if n_known == len(self.keys):
+            return None
+        return self._job(self.keys[:n_known], tuple(self.keys[n_known:]), tuple(self.visits[n_known:]))
+
+    def _key(self, visit: int) -> str:
+        return self.robots.key(self.keys[-1] if self.keys else self.robots.fixed, visit)
+
+    def _job(self, before: Sequence[str], keys: tuple[str, ...], visits: tuple[int, ...]) -> ChainJob:
+        start = self.robots.state_after(before[-1]) if before else self.robots.parked
+        return ChainJob(start, keys, tuple(self.robots.configurations.goal(visit) for visit in visits))
