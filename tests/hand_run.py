@@ -1,7 +1,8 @@
 """A small correct run, written by plain arithmetic: two tiles, two visits each, six robots; none of the project's solvers.
 
 Robots 1 to 4 are science robots, 5 is a guide, 6 is dead. Robot 3 waits before it goes, robot 2 goes x then y, robot 1 goes
-by a way point at visit 1, and robot 4 is not routed to its target at visit 1 of tile 1.
+by a way point at visit 1, and robot 4 is not routed to its target at visit 1 of tile 1. At the telescope robot 2 holds at
+tile 1 what robot 1 holds in the visit, and misses its target on the second night.
 """
 
 import json
@@ -51,6 +52,14 @@ HELD = {
 KINDS = {2: "sky", 4: "guide", 6: "standard", 7: "guide", 10: "standard", 13: "guide"}
 MINIMA = {"min_standard": 1, "min_sky": 2, "min_guide": 1, "min_sky_region": 1, "sky_regions": 4}
 UNROUTED = {(1, 1): {4: "no-path"}}
+# Pointings: night, MJD - 57400, tile, visit, status, open shutter in s, targets by robot, and targets missed.
+POINTINGS = [
+    (0, 0.40, 0, 0, "observed", 600.0, HELD[0, 0], {}),
+    (0, 0.41, 0, 1, "not-started", 0.0, HELD[0, 1], {}),
+    (0, 0.42, 1, 0, "interrupted", 100.0, {2: 8, 3: 9, 4: 10}, {}),
+    (0, 0.43, 1, 0, "observed", 600.0, {2: 8, 3: 9, 4: 10}, {}),
+    (1, 1.40, 1, 1, "observed", 600.0, {1: 11, 5: 13}, {2: 12}),
+]
 # Targets that nobody reaches: one of tile 0; the others want more visits than they get.
 UNREACHED = 14
 WANTED = {0: 2, UNREACHED: 1}
@@ -233,31 +242,37 @@ def _add_tile(
 
 def _add_path(rows: dict[str, list[dict]], key: dict, visit: int, state: dict, goals: dict, unrouted: dict) -> dict:
     """Legs, robot times and the path; gives the states in which the robots end."""
-    legs = {robot: [] if robot in unrouted else make_legs(robot, state[robot], goals[robot], visit) for robot in PARK}
-    rests, ends = [], {}
+    legs, ends, figures = _go(state, goals, visit, unrouted)
     for robot, own in legs.items():
         rotating = sum(abs(leg["rotate_deg"]) / naive.TURNING for leg in own)
         moving = sum(naive.leg_end_s(leg) - leg["start_s"] for leg in own) - rotating
         rest = naive.leg_end_s(own[-1]) if own else 0.0
-        rests += [rest] if own else []
         times = {"rotating_s": rotating, "moving_s": moving, "waiting_s": rest - rotating - moving}
         rows["robot_times"].append(key | {"robot_id": robot} | times | {"reason": unrouted.get(robot)})
         rows["legs"] += [key | {"robot_id": robot, "leg": i} | leg for i, leg in enumerate(own)]
-        ends[robot] = (own[-1]["x_mm"], own[-1]["y_mm"], own[-1]["theta_deg"]) if own else state[robot]
-    rows["paths"].append(
-        key
-        | {
-            "configuration_time_s": max(rests, default=0.0),
-            "configuration_time_p95_s": rank(rests),
-            "configuration_time_median_s": median(rests) if rests else 0.0,
-            "lower_bound_s": max(alone_s(state[robot], ends[robot][:2]) for robot in PARK),
-            "ticks": len({leg["start_s"] for own in legs.values() for leg in own}),
-            "collisions": 0,
-            "unrouted": len(unrouted),
-            "min_separation_mm": naive.least_of_all(list(state.values()), list(legs.values())),
-        }
-    )
+    rows["paths"].append(key | figures)
     return ends
+
+
+def _go(state: dict, goals: dict, visit: int, unrouted: dict) -> tuple[dict, dict, dict]:
+    """Legs of each robot, the states in which they end, and the figures of the path."""
+    legs = {robot: [] if robot in unrouted else make_legs(robot, state[robot], goals[robot], visit) for robot in PARK}
+    rests = [naive.leg_end_s(own[-1]) for own in legs.values() if own]
+    ends = {
+        robot: (own[-1]["x_mm"], own[-1]["y_mm"], own[-1]["theta_deg"]) if own else state[robot]
+        for robot, own in legs.items()
+    }
+    figures = {
+        "configuration_time_s": max(rests, default=0.0),
+        "configuration_time_p95_s": rank(rests),
+        "configuration_time_median_s": median(rests) if rests else 0.0,
+        "lower_bound_s": max(alone_s(state[robot], ends[robot][:2]) for robot in PARK),
+        "ticks": len({leg["start_s"] for own in legs.values() for leg in own}),
+        "collisions": 0,
+        "unrouted": len(unrouted),
+        "min_separation_mm": naive.least_of_all(list(state.values()), list(legs.values())),
+    }
+    return legs, ends, figures
 
 
 def _add_visit(
@@ -292,26 +307,19 @@ def _shortfalls(held: list[dict]) -> dict[str, int]:
 def _add_schedule(rows: dict[str, list[dict]], targets: list[dict]) -> None:
     """Night 0: tile 0 visit 0, tile 1 visit 0 (cloud stops it, then again); night 1: tile 1 visit 1, nothing of tile 0."""
     wanted = {row["target_id"]: row["wanted_visits"] for row in targets if row["kind"] == "science"}
-    path = {(row["tile_id"], row["visit_id"], row["path"]): row["configuration_time_s"] for row in rows["paths"]}
-    from_park = {key[:2]: time for key, time in path.items() if key[2] == PATHS[2]}
-    starts = {row["start"] for row in rows["visits"]}
-    onward = path[0, 1, PATHS[0]] if starts == {"previous"} else path[0, 1, PATHS[1]] + from_park[0, 1]
-    plan = [
-        (0, 0.40, 0, 0, from_park[0, 0], "observed", 600.0),
-        (0, 0.41, 0, 1, onward, "not-started", 0.0),
-        (0, 0.42, 1, 0, from_park[0, 1] + from_park[1, 0], "interrupted", 100.0),
-        (0, 0.43, 1, 0, 0.0, "observed", 600.0),
-        (1, 1.40, 1, 1, from_park[1, 1], "observed", 600.0),
-    ]
     done: dict[int, list[int]] = {target: [] for target in wanted}
-    for i, (night, mjd, tile, visit, configuration, status, exposure) in enumerate(plan):
+    state, last_night = {}, -1
+    for i, (night, mjd, tile, visit, status, exposure, held, missed) in enumerate(POINTINGS):
+        state = state if night == last_night else {robot: (*place, 0.0) for robot, place in PARK.items()}
+        last_night = night
+        state, configuration = _add_pointing(rows, i, (tile, visit), state, held, missed, targets)
         rows["exposures"].append(
             {"exposure_id": i, "night": night, "start_mjd": 57400.0 + mjd, "survey": SURVEY, "tile_id": tile}
             | {"visit_id": visit, "slew_s": 30.0, "configuration_time_s": configuration, "readout_s": 60.0}
             | {"exposure_s": exposure, "airmass": 1.2, "moon_alt_deg": -10.0, "moon_sep_deg": 90.0, "status": status}
         )
         if status == "observed":
-            for target in HELD[tile, visit].values():
+            for target in held.values():
                 if target in done:
                     done[target].append(night)
     for night in (0, 1):
@@ -338,13 +346,41 @@ def write_record(folder: Path, **more: Any) -> None:
     (folder / "run.json").write_text(json.dumps({"instrument": INSTRUMENT, "settings": settings, **more}))
 
 
+def _add_pointing(
+    rows: dict[str, list[dict]], i: int, visit: tuple[int, int], state: dict, held: dict, missed: dict, targets: list[dict]
+) -> tuple[dict, float]:
+    """What the plate did at a pointing; gives the states in which the robots end, and when."""
+    key = {"exposure_id": i}
+    places = {HELD[visit][robot]: GOALS[visit][robot] for robot in HELD[visit]}
+    goals = {robot: places[held[robot]] if robot in held else state[robot][:2] for robot in PARK}
+    legs, ends, figures = _go(state, goals, visit[1], dict.fromkeys(missed, "no-path"))
+    for robot in PARK:
+        target = held.get(robot)
+        rows["exposure_allocations"].append(
+            key
+            | {"robot_id": robot, "target_id": target, "kind": None if target is None else targets[target]["kind"]}
+            | dict(zip(("x_mm", "y_mm", "theta_deg"), ends[robot], strict=True))
+            | {"travel_mm": hypot(ends[robot][0] - state[robot][0], ends[robot][1] - state[robot][1])}
+            | {"missed_target_id": missed.get(robot), "reason": "no-path" if robot in missed else None}
+        )
+        rows["exposure_legs"] += [key | {"robot_id": robot, "leg": n} | leg for n, leg in enumerate(legs[robot])]
+    rows["exposure_paths"].append(key | figures)
+    return ends, figures["configuration_time_s"]
+
+
 def write_run(folder: Path, made: dict[str, pl.DataFrame]) -> Path:
-    """Write the tables, the three large ones in a part a tile."""
+    """Write the tables, the large ones in a part a tile or a night."""
     folder.mkdir(parents=True, exist_ok=True)
     write_record(folder)
     for table, frame in made.items():
         if not TABLES[table].is_in_parts:
             tables.write(frame, table, folder / f"{table}.parquet")
+            continue
+        if "exposure_id" in frame.columns:
+            for night in (0, 1):
+                own = [i for i, pointing in enumerate(POINTINGS) if pointing[0] == night]
+                part = frame.filter(pl.col("exposure_id").is_in(own))
+                tables.write(part, table, folder / table / f"nights-{night:05d}.parquet")
             continue
         for tile in CENTRES:
             part = frame.filter(pl.col("tile_id") == tile)

@@ -25,11 +25,9 @@ def configuration_time(visits, visit, previous, constant_s):
     if previous == visit:
         return 0.0
     if previous >= 0 and previous + 1 == visit and visits.tile[previous] == visits.tile[visit]:
-        if visits.is_from_park[visit]:
-            return visits.start_to_park_s[visit] + visits.park_to_target_s[visit]
         return visits.start_to_target_s[visit]
     back_s = visits.park_to_target_s[previous] if previous >= 0 else 0.0
-    return back_s + visits.park_to_target_s[visit]
+    return max(back_s, visits.park_to_target_s[visit])
 
 
 def offered(tile, fields, visits, targets, n_observed, done, weight, repeat_min_frac):

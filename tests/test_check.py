@@ -89,14 +89,16 @@ def test_correct_run_passes(correct: Path) -> None:
     assert list(result) == []
     assert result.faults.is_empty()
     assert result.faults.columns == list(faults.FAULT_SCHEMA)
-    assert (result.n_visit, result.n_path, result.n_pair) == (4, 12, 12 * 15)
-    assert steps[-1] == (2, 2)
+    numbers = (result.n_visit, result.n_exposure, result.n_path, result.n_pair)
+    assert numbers == (4, len(hand_run.POINTINGS), 12 + 5, 17 * 15)
+    assert steps[-1] == (4, 4)
 
 
 def test_numbers_of_what_was_checked(correct: Path, made: dict[str, pl.DataFrame]) -> None:
     result = check_run(correct)
-    assert result.n_leg == made["legs"].height
-    assert result.least_separation_mm == pytest.approx(made["paths"]["min_separation_mm"].min(), abs=1e-9)
+    assert result.n_leg == made["legs"].height + made["exposure_legs"].height
+    least = min(made[table]["min_separation_mm"].min() for table in ("paths", "exposure_paths"))
+    assert result.least_separation_mm == pytest.approx(least, abs=1e-9)
 
 
 def test_run_that_starts_from_park_passes(tmp_path: Path) -> None:
@@ -124,6 +126,11 @@ def test_status_without_exposures_counts_visits(run_dir: Path) -> None:
 def test_parts_one_by_one_and_together(correct: Path, monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
     monkeypatch.setattr("survey_sim.check.inputs.GROUP_BYTES", n_bytes)
     assert check_run(correct).is_passed
+
+
+def at(exposure: int, robot: int) -> Where:
+    """Keys of a robot at a pointing."""
+    return {"exposure_id": exposure, "robot_id": robot}
 
 
 LEG = {"leg": 0}
@@ -540,33 +547,161 @@ PLANTED = {
         "exposure 3 begins before slew",
         row(1, 0),
     ),
-    "time after the same visit": (
+    "time of another path": (
         "exposures",
         replaced({"exposure_id": 3}, configuration_time_s=1.0),
         "exposures",
-        "config",
-        row(1, 0),
+        "configuration_time_s is not what it is when read from exposure_paths",
+        {"exposure_id": 3},
     ),
-    "time after the last visit": (
-        "exposures",
-        replaced({"exposure_id": 1}, configuration_time_s=1.0),
-        "exposures",
-        "config",
-        row(0, 1),
+    # exposure_paths, exposure_allocations, exposure_legs
+    "path of no pointing": (
+        "exposure_paths",
+        replaced({"exposure_id": 4}, exposure_id=9),
+        "schema",
+        "no row of exposures",
+        {"exposure_id": 9},
     ),
-    "time after another tile": (
-        "exposures",
-        replaced({"exposure_id": 2}, configuration_time_s=1.0),
-        "exposures",
-        "config",
-        row(1, 0),
+    "pointing without path": ("exposure_paths", without({"exposure_id": 4}), "schema", "row is missing", {"exposure_id": 4}),
+    "robot missing at a pointing": (
+        "exposure_allocations",
+        without(at(4, 6)),
+        "schema",
+        "row is missing",
+        at(4, 6),
     ),
-    "time of the first": (
+    "unknown robot at a pointing": (
+        "exposure_legs",
+        replaced(at(4, 1), robot_id=9),
+        "schema",
+        "no row of robots",
+        {"exposure_id": 4},
+    ),
+    "kind unknown at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 1), kind="star"),
+        "schema",
+        "kind 'star'",
+        at(4, 1),
+    ),
+    "leg begun elsewhere than the last pointing ended": (
+        "exposure_allocations",
+        replaced(at(1, 4), x_mm=pl.col("x_mm") + 1.0),
+        "starts",
+        "the leg, begun at",
+        at(2, 4),
+    ),
+    "leg of the night's first pointing not from park": (
+        "exposure_legs",
+        replaced(at(4, 1), dx_mm=pl.col("dx_mm") + 0.1),
+        "starts",
+        "the leg, begun at",
+        at(4, 1),
+    ),
+    "theta of a robot at a pointing": (
+        "exposure_allocations",
+        replaced(at(3, 2), theta_deg=pl.col("theta_deg") + 1.0),
+        "ends",
+        "theta_deg is not that",
+        at(3, 2),
+    ),
+    "robot of a pointing elsewhere than its legs lead": (
+        "exposure_allocations",
+        replaced(at(4, 1), y_mm=pl.col("y_mm") + 1e-4),
+        "ends",
+        "path ends away",
+        at(4, 1),
+    ),
+    "dead robot moved at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 6), x_mm=49.0),
+        "ends",
+        "path ends away",
+        at(4, 6),
+    ),
+    "out of reach at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 4), x_mm=80.0),
+        "reach",
+        "resting place outside the patrol disc",
+        at(4, 4),
+    ),
+    "too near at rest at a pointing": (
+        "exposure_allocations",
+        replaced(at(0, 6), x_mm=30.0, y_mm=-1.0),
+        "separation",
+        "robots nearer than the separation",
+        {"exposure_id": 1},
+    ),
+    "late leg of a pointing": (
+        "exposure_legs",
+        replaced(at(4, 5) | LEG, start_s=30.0),
+        "times",
+        "configuration_time_s is not",
+        {"exposure_id": 4},
+    ),
+    "travel at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 1), travel_mm=1.0),
         "exposures",
-        replaced({"exposure_id": 4}, configuration_time_s=1.0),
-        "exposures",
-        "config",
-        row(1, 1),
+        "travel_mm is not",
+        at(4, 1),
+    ),
+    "target of another visit at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 1), target_id=8),
+        "targets",
+        "target 8 is not of the visit",
+        at(4, 1),
+    ),
+    "robot beside its target at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 1), target_id=8),
+        "targets",
+        "robot is not where target 8",
+        at(4, 1),
+    ),
+    "target let go at a pointing": (
+        "exposure_allocations",
+        replaced(at(2, 2), target_id=None, kind=None),
+        "targets",
+        "target 8 of the visit is neither held nor missed",
+        {"exposure_id": 2},
+    ),
+    "target held twice at a pointing": (
+        "exposure_allocations",
+        replaced(at(4, 3), target_id=11, kind="science"),
+        "targets",
+        "target 11 stands for several",
+        at(4, 3),
+    ),
+    "guide target with a science robot": (
+        "exposure_allocations",
+        replaced(at(4, 1), target_id=13, kind="guide"),
+        "targets",
+        "target 13 is not for a robot of this kind",
+        at(4, 1),
+    ),
+    "missed for no reason": (
+        "exposure_allocations",
+        replaced(at(4, 2), reason=None),
+        "ends",
+        "a target is missed for no reason",
+        at(4, 2),
+    ),
+    "held although not routed": (
+        "exposure_allocations",
+        replaced(at(4, 2), target_id=12, kind="science", missed_target_id=None),
+        "ends",
+        "an unrouted robot holds a target",
+        at(4, 2),
+    ),
+    "observed although missed": (
+        "target_status",
+        replaced({"target_id": 12}, n_observed=1, first_night=1, last_night=1, reason=None),
+        "target_status",
+        "n_observed is not",
+        {},
     ),
     # nights
     "exposure by day": (
@@ -719,7 +854,15 @@ def test_tile_in_two_parts(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert found(run_dir, "schema", "tile is in more than one part", {"tile_id": 1})
 
 
-@pytest.mark.parametrize("table", [*(set(TABLES) - {"rejected", "unallocated", "exposures", "nights", "target_status"})])
+def test_configuration_times_without_paths(run_dir: Path) -> None:
+    (run_dir / "exposure_paths.parquet").unlink()
+    assert found(run_dir, "exposures", "is absent, and configuration times are routed", {"table": "exposure_paths"})
+
+
+_OPTIONAL = {"rejected", "unallocated", "exposures", "exposure_paths", "nights", "target_status"}
+
+
+@pytest.mark.parametrize("table", [*(set(TABLES) - _OPTIONAL)])
 def test_absent_table_is_a_fault(run_dir: Path, table: str) -> None:
     for path in tables.files(run_dir, table):
         path.unlink()

@@ -12,7 +12,7 @@ from astropy.utils import iers
 
 from survey_sim import tables
 from survey_sim.errors import InputError
-from survey_sim.schedule import Programme, ScheduleSettings, make_schedule
+from survey_sim.schedule import Configuration, Programme, ScheduleSettings, make_schedule
 from tests.synthetic_schedule import Inputs, both_surveys, crowded_surveys, join, one_survey
 
 AUTUMN = {"start_date": "2016-03-01", "end_date": "2016-05-31"}
@@ -158,7 +158,7 @@ def test_visits_of_a_tile_are_taken_in_order():
     assert (order["visit_id"] == order["place"]).all()
 
 
-def test_configuration_is_charged_by_what_the_robots_did_before():
+def test_usual_configuration_time_depends_on_the_last_pointing():
     paths = autumn_inputs().paths
     times = dict(zip(paths.select(*VISIT, "path").rows(), paths["configuration_time_s"], strict=True))
     seen, previous, night = set(), None, None
@@ -172,11 +172,65 @@ def test_configuration_is_charged_by_what_the_robots_did_before():
         elif previous == (*visit[:2], visit[2] - 1):
             case, expected = "next", times[*visit, "start_to_target"]
         else:
-            case, expected = "other", times[*previous, "park_to_target"] + times[*visit, "park_to_target"]
+            case, expected = "other", max(times[*previous, "park_to_target"], times[*visit, "park_to_target"])
         assert row["configuration_time_s"] == expected
         seen.add(case)
         previous, night = visit, row["night"]
     assert seen == {"first", "again", "next", "other"}
+
+
+class ForgetfulRobots:
+    """Robots whose times follow from all visits since the night began, and are not known before they are asked for."""
+
+    def __init__(self, n_ahead):
+        self.n_ahead, self.known, self.nights = n_ahead, set(), []
+
+    def begin_night(self, *, is_exact):
+        return ForgetfulChain(self, is_exact)
+
+    def prepare(self, chains):
+        for chain in chains:
+            self.known |= {tuple(chain.been[: n + 1]) for n in range(len(chain.been))}
+
+    def accept(self, chains):
+        self.nights += [chain.been for chain in chains]
+
+
+class ForgetfulChain:
+    def __init__(self, robots, must_be_exact):
+        self.robots, self.must_be_exact, self.is_exact, self.been = robots, must_be_exact, True, []
+
+    def configure(self, visit, usual_s):
+        way = (*self.been, visit)
+        if not self.must_be_exact and way not in self.robots.known:
+            self.is_exact = False
+            return Configuration(usual_s, np.empty(0, dtype=np.int64))
+        rng = np.random.default_rng([len(way), *way])
+        return Configuration(rng.uniform(0.0, 200.0), np.array([], dtype=np.int64))
+
+    def go(self, visit):
+        self.been.append(visit)
+
+
+def test_nights_guessed_ahead_end_as_those_told_one_by_one():
+    settings = ScheduleSettings.load(AUTUMN | {"end_date": "2016-03-20", "telescope": {"readout_s": 20.0}})
+    made, robots = {}, {}
+    for n_ahead in (1, 7, 100):
+        robots[n_ahead] = ForgetfulRobots(n_ahead)
+        made[n_ahead] = make_schedule(*autumn_inputs().arguments(), settings, 7, robots=robots[n_ahead])
+    assert len(made[1].exposures) > 100
+    assert (made[1].exposures["configuration_time_s"] > 60.0).any()
+    for n_ahead in (7, 100):
+        for table in ("exposures", "nights", "target_status"):
+            assert getattr(made[n_ahead], table).equals(getattr(made[1], table))
+        assert robots[n_ahead].nights == robots[1].nights
+    exact = np.concatenate(
+        [
+            [np.random.default_rng([n + 1, *been[: n + 1]]).uniform(0.0, 200.0) for n in range(len(been))]
+            for been in robots[1].nights
+        ]
+    )
+    assert made[1].exposures["configuration_time_s"].to_list() == exact.tolist()
 
 
 def test_constant_configuration_needs_no_path():

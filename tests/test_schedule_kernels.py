@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from survey_sim.schedule import kernels
 from survey_sim.schedule.nightly import observe_night
-from survey_sim.schedule.robots import TabledRobots
+from survey_sim.schedule.robots import Configuration, UsualChain
 from tests import naive_schedule
 
 FILLS, TAKES = kernels.FILLS, kernels.TAKES
@@ -64,9 +64,8 @@ def make_night(level, is_cloudy, moon=None, sidereal_rad=0.0):
     return kernels.Night(0, sidereal_rad, np.array(level, dtype=np.uint8), moon, np.array(is_cloudy))
 
 
-def run(night, fields, visits, targets, rules, state):
-    chain = TabledRobots(visits, rules.configuration_s, 1).begin_night(is_exact=True)
-    return observe_night(night, fields, visits, targets, rules, state, chain)
+def run(night, fields, visits, targets, rules, state, chain=None):
+    return observe_night(night, fields, visits, targets, rules, state, chain or UsualChain())
 
 
 @pytest.fixture
@@ -87,9 +86,7 @@ def two_tiles():
         tile=np.array([0, 0, 1]),
         exposure_s=np.full(3, 600.0),
         start_to_target_s=np.array([30.0, 25.0, 45.0]),
-        start_to_park_s=np.array([0.0, 28.0, 0.0]),
         park_to_target_s=np.array([30.0, 35.0, 45.0]),
-        is_from_park=np.zeros(3, dtype=bool),
         first_holding=np.array([0, 3, 5, 7]),
         target=np.arange(7),
     )
@@ -105,8 +102,8 @@ def test_night_worked_by_hand(two_tiles):
     assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 600.0, kernels.OBSERVED, 70.0])
     # Same tile, next visit: 60 s of readout outlast 25 s of robots.
     assert log[1] == pytest.approx([1, 770.0, 0.0, 25.0, 60.0, 600.0, kernels.OBSERVED, 100.0])
-    # The other tile: 35 s back to park and 45 s out again outlast readout and slew (2 s + 10 s).
-    assert log[2] == pytest.approx([2, 1490.0, 12.0, 80.0, 60.0, 600.0, kernels.OBSERVED, 120.0])
+    # The other tile: the longer of 35 s and 45 s from park, and the slew (2 s + 10 s), within the readout.
+    assert log[2] == pytest.approx([2, 1470.0, 12.0, 45.0, 60.0, 600.0, kernels.OBSERVED, 100.0])
     assert state.n_observed.tolist() == [1] * 7
     assert state.n_complete.tolist() == [7]
     assert not state.gain.any()
@@ -139,10 +136,54 @@ def test_constant_configuration_replaces_routes(two_tiles):
     assert log[:, kernels.LOG_START].tolist() == pytest.approx([340.0, 1280.0, 2220.0])
 
 
-def test_visit_from_park_pays_both_ways(two_tiles):
-    _, visits, _ = two_tiles
-    visits = visits._replace(is_from_park=np.ones(3, dtype=bool))
-    assert kernels.configuration_time(visits, 1, 0, -1.0) == 28.0 + 35.0
+class Scripted:
+    """Robots of one night that take what a script says, by the visits so far and the one asked for."""
+
+    is_exact = True
+
+    def __init__(self, times, lost=()):
+        self.times, self.lost, self.been, self.asked = times, np.array(lost, dtype=np.int64), (), []
+
+    def configure(self, visit, usual_s):
+        self.asked.append((*self.been, visit))
+        return Configuration(self.times.get((*self.been, visit), usual_s), self.lost)
+
+    def go(self, visit):
+        self.been = (*self.been, visit)
+
+
+def test_pointing_pays_what_robots_really_take(two_tiles):
+    fields, visits, targets = two_tiles
+    state = make_state(fields, visits, targets)
+    robots = Scripted({(0,): 20.0, (0, 1): 95.0, (0, 1, 2): 70.5})
+    log = run(make_night([[TAKES] * 60], [False] * 60), fields, visits, targets, make_rules(), state, robots)
+    assert log[:, kernels.LOG_CONFIGURATION].tolist() == [20.0, 95.0, 70.5]
+    assert log[:, kernels.LOG_START].tolist() == pytest.approx([60.0, 795.0, 1505.5])
+    assert robots.been == (0, 1, 2)
+
+
+def test_visit_that_does_not_fit_after_all_is_passed_over_until_time_goes_on(two_tiles):
+    fields, visits, targets = two_tiles
+    state = make_state(fields, visits, targets)
+    # 30 minutes: three exposures fit, but not after 20 minutes of robots.
+    robots = Scripted({(0,): 1200.0, (2, 0): 1200.0})
+    log = run(make_night([[TAKES] * 30], [False] * 30), fields, visits, targets, make_rules(), state, robots)
+    assert log[:, kernels.LOG_VISIT].tolist() == [2]
+    assert robots.asked[:3] == [(0,), (2,), (2, 0)]
+    assert robots.asked.count((2, 0)) > 1
+    assert state.n_observed.tolist() == [0] * 5 + [1, 1]
+
+
+def test_targets_that_no_robot_reached_are_not_observed(two_tiles):
+    fields, visits, targets = two_tiles
+    state = make_state(fields, visits, targets)
+    robots = Scripted({}, lost=[1, 5])
+    log = run(make_night([[TAKES] * 40], [False] * 40), fields, visits, targets, make_rules(), state, robots)
+    assert log[:, kernels.LOG_VISIT].tolist() == [0, 1, 2]
+    assert state.n_observed.tolist() == [1, 0, 1, 1, 1, 0, 1]
+    assert state.n_tried.tolist() == state.n_observed.tolist()
+    # What was lost is still wanted: one of three, one of two.
+    assert state.gain[:, 0].tolist() == [kernels.WHOLE_TARGET, 0, kernels.WHOLE_TARGET]
 
 
 def test_time_that_a_survey_takes_goes_before_time_it_fills(two_tiles):
@@ -205,10 +246,8 @@ def random_problem(rng):
     n_target = 8
     held = np.concatenate([np.sort(rng.choice(n_target, n, replace=False)) for n in n_held] + [[]]).astype(np.int64)
     tile = np.repeat(np.arange(n_tile), n_visit_of)
-    times = rng.uniform(5.0, 90.0, (3, n_visit))
-    visits = kernels.Visits(
-        tile, rng.uniform(100.0, 1500.0, n_visit), *times, rng.random(n_visit) < 0.3, np.append(0, np.cumsum(n_held)), held
-    )
+    times = rng.uniform(5.0, 90.0, (2, n_visit))
+    visits = kernels.Visits(tile, rng.uniform(100.0, 1500.0, n_visit), *times, np.append(0, np.cumsum(n_held)), held)
     ra_rad, dec_rad = rng.uniform(-0.8, 0.8, n_tile), rng.uniform(-1.2, 0.5, n_tile)
     latitude_rad = -0.55
     fields = kernels.Fields(

@@ -48,17 +48,20 @@ tiles
     `n_target` counts the science targets at home in the tile.
 exposures
     Pointings count from 0; between two open shutters there is time for the exposure and, within a night, for the longest of
-    slew, readout and configuration. `configuration_time_s` is 0 after a pointing of the same visit; after the tile's
-    visit before, `start_to_target` (or, where that starts from park, `start_to_park` and `park_to_target`); else
-    `park_to_target` of the last pointing's visit (the way back takes as long) and of this one; in a night's first pointing,
-    `park_to_target`; or always the constant of the schedule's settings.
+    slew, readout and configuration. `configuration_time_s` is that of the pointing's own path in `exposure_paths`; or always
+    the constant of the schedule's settings, and then robots are not followed.
+exposure_paths, exposure_allocations, exposure_legs
+    What the plate really did, under the same checks as the paths of visits (starts, legs, ends, reach, targets, separation,
+    times): each pointing's path begins where the night's last pointing left the robots, the first at park with theta 0;
+    its targets, held and missed, are those of its visit; `theta_deg` is that of the last leg; what is missed has a reason.
+    All pointings of a night are in one part.
 nights
     A pointing is within a day of its night's `evening_mjd`; pointings and open-shutter seconds add up; the completeness
     of each programme is science targets with all wanted visits observed by then / all. Where targets may fail
     (`schedule.success_frac` below 1), that is its upper bound, it never falls, and it ends as `target_status` does.
 target_status
-    A row for each science target: `n_observed` pointings with status observed that hold it, their first and last night,
-    and a reason just where fewer than wanted; upper bounds where targets may fail. In a run without `exposures`, every
+    A row for each science target: `n_observed` pointings with status observed at which a robot holds it, their first and last
+    night, and a reason just where fewer than wanted; upper bounds where targets may fail. In a run without `exposures`, every
     visit counts as observed, in no night.
 """
 

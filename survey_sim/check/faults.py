@@ -16,6 +16,7 @@ FAULT_SCHEMA = pl.Schema(
         "survey": pl.String(),
         "tile_id": pl.Int32(),
         "visit_id": pl.Int16(),
+        "exposure_id": pl.Int32(),
         "path": pl.String(),
         "robot_id": pl.Int32(),
         "other_robot_id": pl.Int32(),
@@ -35,6 +36,7 @@ class Fault:
     survey: str | None = None
     tile_id: int | None = None
     visit_id: int | None = None
+    exposure_id: int | None = None
     path: str | None = None
     robot_id: int | None = None
     other_robot_id: int | None = None
@@ -130,8 +132,9 @@ class CheckResult:
         A fault a row, the columns of `Fault`; at most `MAX_ROWS` of each check. Empty: the run passed.
     n_faults
         Number of faults of each check that failed, those without a row included.
-    n_visit, n_path, n_leg, n_pair
-        Visits, paths, legs, and pairs of robots on a path whose separation was derived at every instant.
+    n_visit, n_exposure, n_path, n_leg, n_pair
+        Visits, pointings at which robots were followed, paths of both, legs, and pairs of robots on a path whose separation
+        was derived at every instant.
     least_separation_mm
         Least distance between two robots at any instant of any path; inf where no pair was looked at.
     """
@@ -139,6 +142,7 @@ class CheckResult:
     faults: pl.DataFrame
     n_faults: Mapping[str, int]
     n_visit: int
+    n_exposure: int
     n_path: int
     n_leg: int
     n_pair: int

@@ -1,6 +1,7 @@
 """What the check reads: the instrument's constants, the small tables whole, and the large ones part by part."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from survey_sim.errors import InputError
 
 SMALL = ("robots", "targets", "tiles", "visits", "paths")
 LARGE = ("allocations", "legs", "robot_times")
-OPTIONAL = ("unallocated", "exposures", "nights", "target_status", "rejected")
+EXPOSURE_LARGE = ("exposure_allocations", "exposure_legs")
+OPTIONAL = ("unallocated", "exposures", "exposure_paths", "nights", "target_status", "rejected")
 RECORD = "run.json"
 # Parts are looked at together up to so many bytes on disk: enough to be quick, few enough to bound memory.
 GROUP_BYTES = 16 * 2**20
@@ -100,7 +102,8 @@ def read_run(run_dir: Path, log: FaultLog) -> Run | None:
     constants = _read_constants(record, log)
     wanted = [*SMALL, *(table for table in OPTIONAL if tables.files(run_dir, table))]
     found = {table: _read_small(run_dir, table, log) for table in wanted}
-    has_large = [_check_files(run_dir, table, log) for table in LARGE]
+    large = (*LARGE, *EXPOSURE_LARGE) if "exposure_paths" in wanted else LARGE
+    has_large = [_check_files(run_dir, table, log) for table in large]
     sound = {table: frame for table, frame in found.items() if frame is not None}
     if constants is None or not all(has_large) or len(sound) < len(wanted):
         return None
@@ -130,9 +133,9 @@ def read_run(run_dir: Path, log: FaultLog) -> Run | None:
     )
 
 
-def part_groups(run_dir: Path, log: FaultLog) -> list[list[str]]:
-    """Names of the parts that all three large tables have, some together; a fault for each that one of them lacks."""
-    names = {table: {path.name for path in tables.files(run_dir, table)} for table in LARGE}
+def part_groups(run_dir: Path, large: Sequence[str], log: FaultLog) -> list[list[str]]:
+    """Names of the parts that all these large tables have, some together; a fault for each that one of them lacks."""
+    names = {table: {path.name for path in tables.files(run_dir, table)} for table in large}
     for table, own in names.items():
         for lacking in sorted(set.union(*names.values()) - own):
             log.add_one(Fault("schema", table, detail=f"part {lacking} is missing"))
@@ -143,15 +146,15 @@ def part_groups(run_dir: Path, log: FaultLog) -> list[list[str]]:
             groups.append([])
             size = 0
         groups[-1].append(name)
-        size += sum((run_dir / table / name).stat().st_size for table in LARGE)
+        size += sum((run_dir / table / name).stat().st_size for table in large)
     return groups
 
 
-def read_group(run_dir: Path, names: list[str], log: FaultLog) -> dict[str, pl.DataFrame] | None:
-    """The three large tables of some parts; None, with faults logged, if one is not sound."""
-    found = {table: _read_files([run_dir / table / name for name in names], table, log) for table in LARGE}
+def read_group(run_dir: Path, large: Sequence[str], names: list[str], log: FaultLog) -> dict[str, pl.DataFrame] | None:
+    """The large tables of some parts; None, with faults logged, if one is not sound."""
+    found = {table: _read_files([run_dir / table / name for name in names], table, log) for table in large}
     sound = {table: frame for table, frame in found.items() if frame is not None}
-    return sound if len(sound) == len(LARGE) else None
+    return sound if len(sound) == len(large) else None
 
 
 def _read_record(run_dir: Path, log: FaultLog) -> dict[str, Any]:

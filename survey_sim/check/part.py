@@ -1,6 +1,7 @@
 """One part of a run (all visits of some tiles) put together: robots in visits, their routes, and their legs."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,18 +15,34 @@ START_TO_TARGET, START_TO_PARK, PARK_TO_TARGET = PATHS
 STATE = ("x_mm", "y_mm", "theta_deg")
 
 
+class Names(NamedTuple):
+    """Tables that a part is of."""
+
+    allocations: str
+    legs: str
+    paths: str
+
+
+OF_VISITS = Names("allocations", "legs", "paths")
+
+
 @dataclass(frozen=True)
 class Part:
     """Rows of a part, each with the state that it begins in.
 
     Attributes
     ----------
+    names
+        Its tables. What is said here of visits holds of pointings in a part of what the plate did at exposures; their
+        `visit_row` is the `exposure_id`.
+    paths
+        Paths of a visit.
     rows
         `allocations`, sorted by visit and robot, with the robot's park position, kind and state, where the last visit left
         it (`last_x_mm`, `last_y_mm`, `last_theta_deg`), where it is once all are parked (`parked_*`), and where
         `start_to_target` begins (`start_*`).
     routes
-        A robot on a path: a block of all `rows` for each path, in the order of `PATHS`; `slot` is the place. With the start
+        A robot on a path: a block of all `rows` for each path, in the order of `paths`; `slot` is the place. With the start
         state, where the path should end (`goal_*`), `robot_times`, and what its legs come to (`n_leg`, `rest_s`, ...).
     legs
         `legs`, sorted by slot, with the state that each begins in (`begin_*`) and what follows from it.
@@ -33,6 +50,8 @@ class Part:
         (n_visit + 1,) rows of each visit.
     """
 
+    names: Names
+    paths: tuple[str, ...]
     rows: pl.DataFrame
     routes: pl.DataFrame
     legs: pl.DataFrame
@@ -49,23 +68,33 @@ def make_part(tables: dict[str, pl.DataFrame], run: Run) -> Part:
     legs = _slots(tables["legs"], key, rows.height).sort("slot", "leg")
     rows = _with_starts(rows, _last_theta(legs, rows.height))
     routes = _routes(rows)
-    legs = _with_begins(legs, routes, run.constants)
+    legs = with_begins(legs, routes, run.constants)
     times = _slots(tables["robot_times"], key, rows.height)
     times = times.select("slot", "rotating_s", "moving_s", "waiting_s", "reason")
     routes = routes.join(times, on="slot", how="left", maintain_order="left")
-    routes = routes.join(_totals(legs), on="slot", how="left", maintain_order="left").with_columns(
-        pl.col("n_leg", "rest_s", "own_rotating_s", "own_moving_s").fill_null(0),
-        end_x_mm=pl.coalesce("end_x_mm", "start_x_mm"),
-        end_y_mm=pl.coalesce("end_y_mm", "start_y_mm"),
-    )
-    counts = rows.group_by("visit_row", maintain_order=True).len()["len"].to_numpy()
-    return Part(rows, routes, legs, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64))
+    return Part(OF_VISITS, PATHS, rows, with_ends(routes, legs), legs, first_rows(rows))
 
 
 def from_own_axes(theta: pl.Expr, x: pl.Expr, y: pl.Expr) -> tuple[pl.Expr, pl.Expr]:
     """Step in the plate frame of a step along the axes of a robot turned by theta, deg."""
     angle = theta.radians()
     return angle.cos() * x - angle.sin() * y, angle.sin() * x + angle.cos() * y
+
+
+def first_rows(rows: pl.DataFrame) -> npt.NDArray[np.int64]:
+    """(n_visit + 1,) rows of each visit; they are together."""
+    counts = rows.group_by("visit_row", maintain_order=True).len()["len"].to_numpy()
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def with_ends(routes: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Routes with what their legs come to; a robot without legs stays."""
+    return routes.join(_totals(legs), on="slot", how="left", maintain_order="left").with_columns(
+        pl.col("n_leg", "rest_s", "own_rotating_s", "own_moving_s").fill_null(0),
+        end_x_mm=pl.coalesce("end_x_mm", "start_x_mm"),
+        end_y_mm=pl.coalesce("end_y_mm", "start_y_mm"),
+        end_theta_deg=pl.coalesce("end_theta_deg", "start_theta_deg"),
+    )
 
 
 def _slots(frame: pl.DataFrame, key: pl.DataFrame, n_row: int) -> pl.DataFrame:
@@ -117,7 +146,8 @@ def _routes(rows: pl.DataFrame) -> pl.DataFrame:
     return pl.concat(blocks).with_columns(slot=pl.int_range(pl.len()))
 
 
-def _with_begins(legs: pl.DataFrame, routes: pl.DataFrame, constants: Constants) -> pl.DataFrame:
+def with_begins(legs: pl.DataFrame, routes: pl.DataFrame, constants: Constants) -> pl.DataFrame:
+    """Legs, sorted by slot, with the state that each begins in and what follows from it."""
     slot = legs["slot"]
     begins = {f"begin_{name}": f"start_{name}" for name in STATE}
     legs = legs.with_columns(routes[column][slot].alias(name) for name, column in begins.items())
@@ -152,4 +182,5 @@ def _totals(legs: pl.DataFrame) -> pl.DataFrame:
         own_moving_s=pl.col("moving_s").sum(),
         end_x_mm=pl.col("x_mm").last(),
         end_y_mm=pl.col("y_mm").last(),
+        end_theta_deg=pl.col("theta_deg").last(),
     )

@@ -14,6 +14,7 @@ _CODES: dict[tuple[str, str], tuple[str, ...]] = {
     ("robots", "state"): ("live", "dead"),
     ("targets", "kind"): TARGET_KINDS,
     ("allocations", "kind"): TARGET_KINDS,
+    ("exposure_allocations", "kind"): TARGET_KINDS,
     ("visits", "start"): ("previous", "park"),
     ("paths", "path"): PATHS,
     ("legs", "path"): PATHS,
@@ -22,6 +23,7 @@ _CODES: dict[tuple[str, str], tuple[str, ...]] = {
 # Reasons and states that stages name themselves: lower-case words joined by hyphens.
 _WORDS = {
     ("robot_times", "reason"),
+    ("exposure_allocations", "reason"),
     ("target_status", "reason"),
     ("rejected", "reason"),
     ("unallocated", "reason"),
@@ -37,7 +39,7 @@ _RANGES = {
 }
 _NOT_NEGATIVE = {"leg", "ticks", "crossings", "collisions", "unrouted", "wanted_visits", "patrol_radius_mm", "precise_mm"}
 # A plate of one robot has no pair, so no least separation.
-_MAY_BE_INFINITE = ("paths", "min_separation_mm")
+_MAY_BE_INFINITE = {("paths", "min_separation_mm"), ("exposure_paths", "min_separation_mm")}
 
 
 def check_table(log: FaultLog, frame: pl.DataFrame, table: str) -> bool:
@@ -83,7 +85,7 @@ def check_small(log: FaultLog, robots: pl.DataFrame, tiles: pl.DataFrame, visits
     gaps = counted.filter(pl.col("visit_id") != pl.col("place"))
     log.add("schema", "visits", gaps, "visits of a tile are not counted from 0 without gaps", limit=pl.col("place"))
     wanted = visits.select(VISIT).join(pl.DataFrame({"path": PATHS}), how="cross")
-    _check_present(log, wanted, paths, "paths", [*VISIT, "path"])
+    check_present(log, wanted, paths, "paths", [*VISIT, "path"])
 
 
 def unsound_tiles(
@@ -111,17 +113,18 @@ def unsound_tiles(
     log.add("schema", "allocations", twice, "tile is in more than one part")
     bad.append(twice)
     wanted = visits.join(here, on=TILE, how="semi").select(VISIT).join(robots.select(ROBOT), on="survey")
-    bad.append(_check_present(log, wanted, parts["allocations"], "allocations", [*VISIT, "robot_id"]))
+    bad.append(check_present(log, wanted, parts["allocations"], "allocations", [*VISIT, "robot_id"]).select(TILE))
     routes = wanted.join(pl.DataFrame({"path": PATHS}), how="cross")
-    bad.append(_check_present(log, routes, parts["robot_times"], "robot_times", [*VISIT, "path", "robot_id"]))
+    lacking = check_present(log, routes, parts["robot_times"], "robot_times", [*VISIT, "path", "robot_id"])
+    bad.append(lacking.select(TILE))
     return pl.concat(bad).unique()
 
 
-def _check_present(log: FaultLog, wanted: pl.DataFrame, frame: pl.DataFrame, table: str, key: list[str]) -> pl.DataFrame:
-    """Faults for the rows of `wanted` that the table lacks; gives their tiles."""
+def check_present(log: FaultLog, wanted: pl.DataFrame, frame: pl.DataFrame, table: str, key: list[str]) -> pl.DataFrame:
+    """Faults for the rows of `wanted` that the table lacks; gives these."""
     lacking = wanted.join(frame, on=key, how="anti", maintain_order="left")
     log.add("schema", table, lacking, "row is missing")
-    return lacking.select(TILE)
+    return lacking
 
 
 def _check_values(log: FaultLog, frame: pl.DataFrame, table: str, name: str) -> None:
@@ -131,7 +134,7 @@ def _check_values(log: FaultLog, frame: pl.DataFrame, table: str, name: str) -> 
     if column is not None and not column.is_nullable and frame[name].null_count():
         log.add("schema", table, frame.filter(value.is_null()), f"{name} is null")
     if frame.schema[name].is_float():
-        is_wrong = value.is_nan() if (table, name) == _MAY_BE_INFINITE else ~value.is_finite()
+        is_wrong = value.is_nan() if (table, name) in _MAY_BE_INFINITE else ~value.is_finite()
         log.add("schema", table, frame.filter(is_wrong), f"{name} is not a finite number")
     if (codes := _CODES.get((table, name))) is not None:
         unknown = frame.filter(~value.is_in(codes))

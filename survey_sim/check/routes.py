@@ -3,12 +3,10 @@
 import numpy as np
 import polars as pl
 
-from survey_sim.check.faults import MAX_ROWS, FaultLog
+from survey_sim.check.faults import FAULT_SCHEMA, MAX_ROWS, FaultLog
 from survey_sim.check.inputs import Constants
 from survey_sim.check.kernels import least_separations
 from survey_sim.check.part import START_TO_TARGET, Part
-from survey_sim.check.relations import VISIT
-from survey_sim.schema import PATHS
 
 POSITION_MM = 1e-6
 ANGLE_DEG = 1e-6
@@ -20,41 +18,41 @@ MAX_TURN_DEG = 45.0
 
 def check_legs(log: FaultLog, part: Part, constants: Constants) -> None:
     """What a leg is: it follows the last, ends where its instruction leads, turns and goes as a robot can."""
-    legs = part.legs
-    _check_ends_of_legs(log, legs)
+    legs, table = part.legs, part.names.legs
+    _check_ends_of_legs(log, part)
     numbered = legs.with_columns(place=pl.int_range(pl.len()).over("slot"))
-    log.add("legs", "legs", numbered.filter(pl.col("leg") != pl.col("place")), "legs are not counted from 0 without gaps")
+    log.add("legs", table, numbered.filter(pl.col("leg") != pl.col("place")), "legs are not counted from 0 without gaps")
     last_end = pl.col("end_s").shift(1)
     early = legs.with_columns(last_end_s=last_end).filter(~pl.col("is_first") & (pl.col("start_s") < last_end - ORDER_S))
     detail = "leg starts before the robot's last one ends"
-    log.add("legs", "legs", early, detail, value=pl.col("start_s"), limit=pl.col("last_end_s"))
+    log.add("legs", table, early, detail, value=pl.col("start_s"), limit=pl.col("last_end_s"))
     turn, theta = pl.col("rotate_deg"), pl.col("theta_deg")
     far = legs.filter(turn.abs() > MAX_TURN_DEG + ANGLE_DEG)
-    log.add("legs", "legs", far, "turns further than a robot needs to", value=turn, limit=MAX_TURN_DEG)
+    log.add("legs", table, far, "turns further than a robot needs to", value=turn, limit=MAX_TURN_DEG)
     both = legs.filter((turn != 0) & (pl.col("dx_mm") != 0) & (pl.col("dy_mm") != 0))
-    log.add("legs", "legs", both, "turns and goes along both axes", value=turn, limit=0.0)
+    log.add("legs", table, both, "turns and goes along both axes", value=turn, limit=0.0)
     nothing = legs.filter((turn == 0) & (pl.col("length_mm") == 0))
-    log.add("legs", "legs", nothing, "neither turns nor goes")
+    log.add("legs", table, nothing, "neither turns nor goes")
     unwrapped = legs.filter((theta < -180) | (theta >= 180))
-    log.add("legs", "legs", unwrapped, "theta_deg is outside [-180, 180)", value=theta)
+    log.add("legs", table, unwrapped, "theta_deg is outside [-180, 180)", value=theta)
     approach = pl.min_horizontal(pl.lit(constants.precise_approach_mm), "length_mm")
     wanted = legs.with_columns(own_precise_mm=pl.when("is_last").then(approach).otherwise(0.0))
-    log.compare("legs", "legs", wanted, {"precise_mm": 1e-9}, "only the last leg ends with the precise approach")
+    log.compare("legs", table, wanted, {"precise_mm": 1e-9}, "only the last leg ends with the precise approach")
 
 
 def check_ends(log: FaultLog, part: Part) -> None:
     """Each path ends where it should, or has a reason and stays where it began; dead robots never move."""
     gap = ((pl.col("end_x_mm") - pl.col("goal_x_mm")) ** 2 + (pl.col("end_y_mm") - pl.col("goal_y_mm")) ** 2).sqrt()
-    routes = part.routes.with_columns(gap_mm=gap)
+    routes, legs = part.routes.with_columns(gap_mm=gap), part.names.legs
     is_dead, moves = pl.col("state") == "dead", pl.col("n_leg") > 0
     is_unrouted, is_to_target = pl.col("reason").is_not_null(), pl.col("path") == START_TO_TARGET
-    log.add("ends", "legs", routes.filter(is_dead & moves), "a dead robot moves")
-    log.add("ends", "legs", routes.filter(is_unrouted & moves), "an unrouted robot moves")
+    log.add("ends", legs, routes.filter(is_dead & moves), "a dead robot moves")
+    log.add("ends", legs, routes.filter(is_unrouted & moves), "an unrouted robot moves")
     is_away = pl.col("gap_mm") > POSITION_MM
     astray = routes.filter(is_away & ~is_unrouted)
     log.add(
         "ends",
-        "legs",
+        legs,
         astray,
         "path ends away from where it should, with no reason",
         value=pl.col("gap_mm"),
@@ -63,14 +61,14 @@ def check_ends(log: FaultLog, part: Part) -> None:
     moved = routes.filter(is_away & is_unrouted & is_to_target & ~moves)
     log.add(
         "ends",
-        "allocations",
+        part.names.allocations,
         moved,
         "an unrouted robot is said to end away from where it began",
         value=pl.col("gap_mm"),
         limit=POSITION_MM,
     )
     holds = routes.filter(is_unrouted & is_to_target & pl.col("target_id").is_not_null())
-    log.add("ends", "allocations", holds, "an unrouted robot holds a target")
+    log.add("ends", part.names.allocations, holds, "an unrouted robot holds a target")
 
 
 def check_reach(log: FaultLog, part: Part, constants: Constants) -> None:
@@ -80,10 +78,10 @@ def check_reach(log: FaultLog, part: Part, constants: Constants) -> None:
     legs = part.legs.with_columns(part.rows[name][row] for name in columns)
     live = part.rows.filter(pl.col("state") == "live")
     first = live.filter(pl.col("visit_id") == 0)
-    _check_inside(log, live, "allocations", "x_mm", "y_mm", constants, "resting place")
-    _check_inside(log, first, "allocations", "last_x_mm", "last_y_mm", constants, "first position")
-    _check_inside(log, legs, "legs", "x_mm", "y_mm", constants, "end of leg")
-    _check_inside(log, legs, "legs", "corner_x_mm", "corner_y_mm", constants, "corner of leg")
+    _check_inside(log, live, part.names.allocations, "x_mm", "y_mm", constants, "resting place")
+    _check_inside(log, first, part.names.allocations, "last_x_mm", "last_y_mm", constants, "first position")
+    _check_inside(log, legs, part.names.legs, "x_mm", "y_mm", constants, "end of leg")
+    _check_inside(log, legs, part.names.legs, "corner_x_mm", "corner_y_mm", constants, "corner of leg")
 
 
 def path_separations(log: FaultLog, part: Part, constants: Constants) -> pl.DataFrame:
@@ -101,22 +99,23 @@ def path_separations(log: FaultLog, part: Part, constants: Constants) -> pl.Data
     near = np.full((MAX_ROWS, 4), np.nan)
     speeds = (constants.coarse_speed_mm_s, constants.precise_speed_mm_s)
     least, n_near = least_separations(
-        len(PATHS), part.first_row, start, first_leg, np.column_stack(columns), *speeds, limit, near
+        len(part.paths), part.first_row, start, first_leg, np.column_stack(columns), *speeds, limit, near
     )
     near = near[np.isfinite(near[:, 0])]
     slots, other = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
-    pairs = routes[slots].select(*VISIT, "path", "robot_id").with_columns(routes["robot_id"][other].alias("other_robot_id"))
+    names = [name for name in FAULT_SCHEMA if name in routes.columns]
+    pairs = routes[slots].select(names).with_columns(routes["robot_id"][other].alias("other_robot_id"))
     pairs = pairs.with_columns(pl.Series("distance_mm", near[:, 2]), pl.Series("when_s", near[:, 3]))
     detail = pl.format("robots nearer than the separation at {} s", pl.col("when_s").round(3))
     n_hidden = int(n_near.sum()) - pairs.height
     least_mm = constants.min_separation_mm
-    log.add("separation", "legs", pairs, detail, value=pl.col("distance_mm"), limit=least_mm, n_hidden=n_hidden)
+    log.add("separation", part.names.legs, pairs, detail, value=pl.col("distance_mm"), limit=least_mm, n_hidden=n_hidden)
     n_visit = len(part.first_row) - 1
     visit_row = part.rows["visit_row"].gather(part.first_row[:-1])
     return pl.DataFrame(
         {
-            "visit_row": np.tile(visit_row.to_numpy(), len(PATHS)),
-            "path": np.repeat(PATHS, n_visit).tolist(),
+            "visit_row": np.tile(visit_row.to_numpy(), len(part.paths)),
+            "path": np.repeat(part.paths, n_visit).tolist(),
             "own_min_separation_mm": least.ravel(),
             "own_collisions": n_near.ravel().astype(np.int32),
         },
@@ -124,8 +123,15 @@ def path_separations(log: FaultLog, part: Part, constants: Constants) -> pl.Data
     )
 
 
+def check_robot_times(log: FaultLog, part: Part) -> None:
+    """Times of robots, derived again."""
+    waiting = pl.col("rest_s") - pl.col("own_rotating_s") - pl.col("own_moving_s")
+    routes = part.routes.with_columns(own_waiting_s=waiting)
+    log.compare("times", "robot_times", routes, dict.fromkeys(("rotating_s", "moving_s", "waiting_s"), TIME_S))
+
+
 def check_times(log: FaultLog, part: Part, paths: pl.DataFrame, separations: pl.DataFrame, constants: Constants) -> None:
-    """Times of robots and paths, ticks, unrouted, least separation and collisions, each derived again.
+    """Times of paths, ticks, unrouted, least separation and collisions, each derived again.
 
     Parameters
     ----------
@@ -134,9 +140,7 @@ def check_times(log: FaultLog, part: Part, paths: pl.DataFrame, separations: pl.
     separations
         As `path_separations` gives them.
     """
-    waiting = pl.col("rest_s") - pl.col("own_rotating_s") - pl.col("own_moving_s")
-    routes = part.routes.with_columns(own_waiting_s=waiting, alone_s=_alone_s(constants))
-    log.compare("times", "robot_times", routes, dict.fromkeys(("rotating_s", "moving_s", "waiting_s"), TIME_S))
+    routes = part.routes.with_columns(alone_s=_alone_s(constants))
     key = ["visit_row", "path"]
     own = routes.group_by(key).agg(**_path_figures())
     place = part.legs["slot"]
@@ -145,8 +149,8 @@ def check_times(log: FaultLog, part: Part, paths: pl.DataFrame, separations: pl.
     own = own.join(ticks, on=key, how="left").with_columns(pl.col("own_ticks").fill_null(0))
     both = paths.join(own.join(separations, on=key), on=key, how="inner", maintain_order="left")
     columns = [f"configuration_time{suffix}_s" for suffix in ("", "_p95", "_median")] + ["lower_bound_s"]
-    log.compare("times", "paths", both, dict.fromkeys(columns, TIME_S) | {"ticks": 0, "unrouted": 0})
-    log.compare("separation", "paths", both, {"min_separation_mm": POSITION_MM, "collisions": 0})
+    log.compare("times", part.names.paths, both, dict.fromkeys(columns, TIME_S) | {"ticks": 0, "unrouted": 0})
+    log.compare("separation", part.names.paths, both, {"min_separation_mm": POSITION_MM, "collisions": 0})
 
 
 def rank_95(value: pl.Expr) -> pl.Expr:
@@ -187,8 +191,9 @@ def _travel_s(length: pl.Expr, constants: Constants) -> pl.Expr:
     return (length - slow) / constants.coarse_speed_mm_s + slow / constants.precise_speed_mm_s
 
 
-def _check_ends_of_legs(log: FaultLog, legs: pl.DataFrame) -> None:
+def _check_ends_of_legs(log: FaultLog, part: Part) -> None:
     """A leg's instruction leads from the state where the robot is to the state that the row gives."""
+    legs, table = part.legs, part.names.legs
     miss = ((pl.col("own_x_mm") - pl.col("x_mm")) ** 2 + (pl.col("own_y_mm") - pl.col("y_mm")) ** 2).sqrt()
     turned = (pl.col("own_theta_deg") - pl.col("theta_deg") + 180.0).mod(360.0) - 180.0
     missed = legs.with_columns(miss_mm=miss, miss_deg=turned.abs())
@@ -196,10 +201,10 @@ def _check_ends_of_legs(log: FaultLog, legs: pl.DataFrame) -> None:
         some = missed.filter(pl.col("is_first") if rows else ~pl.col("is_first"))
         far = some.filter(pl.col("miss_mm") > POSITION_MM)
         detail = f"the leg, begun at {begin}, does not end at x_mm, y_mm"
-        log.add(check, "legs", far, detail, value=pl.col("miss_mm"), limit=POSITION_MM)
+        log.add(check, table, far, detail, value=pl.col("miss_mm"), limit=POSITION_MM)
         turned_away = some.filter(pl.col("miss_deg") > ANGLE_DEG)
         detail = f"the leg, begun at {begin}, does not end at theta_deg"
-        log.add(check, "legs", turned_away, detail, value=pl.col("miss_deg"), limit=ANGLE_DEG)
+        log.add(check, table, turned_away, detail, value=pl.col("miss_deg"), limit=ANGLE_DEG)
 
 
 def _check_inside(log: FaultLog, rows: pl.DataFrame, table: str, x: str, y: str, constants: Constants, what: str) -> None:

@@ -2,6 +2,7 @@
 
 import polars as pl
 
+from survey_sim.check.exposures import check_paid
 from survey_sim.check.faults import Fault, FaultLog
 from survey_sim.check.inputs import Run
 from survey_sim.check.relations import TILE, VISIT, check_refers
@@ -25,13 +26,16 @@ def check_tiles(log: FaultLog, run: Run) -> None:
     log.add("schema", "targets", wantless, pl.format("science target {} wants no visit", "target_id"))
 
 
-def check_schedule(log: FaultLog, run: Run, reached: pl.DataFrame) -> None:
+def check_schedule(log: FaultLog, run: Run, reached: pl.DataFrame, held: pl.DataFrame | None) -> None:
     """Pointings, nights and target status, as far as the run has them.
 
     Parameters
     ----------
     reached
         visit_row and target_id of every row that holds a science target.
+    held
+        exposure_id and target_id of every robot that held a science target at a pointing; None if robots were not
+        followed: they held those of the visit.
     """
     exposures, status = run.optional.get("exposures"), run.optional.get("target_status")
     if exposures is None:
@@ -39,9 +43,13 @@ def check_schedule(log: FaultLog, run: Run, reached: pl.DataFrame) -> None:
     else:
         exposures = exposures.join(run.visits.select(*VISIT, "visit_row"), on=VISIT, how="left").sort("exposure_id")
         _check_order(log, exposures, run)
-        _check_configuration_times(log, exposures, run)
-        seen = exposures.filter(pl.col("status") == "observed").select("visit_row", "night")
-        observed = reached.join(seen, on="visit_row")
+        if run.schedule.configuration_s is not None:
+            own = exposures.with_columns(own_configuration_time_s=pl.lit(run.schedule.configuration_s))
+            log.compare("exposures", "exposures", own, {"configuration_time_s": CLOCK_S}, "read from the settings")
+        elif (paths := run.optional.get("exposure_paths")) is not None:
+            check_paid(log, exposures, paths)
+        seen = exposures.filter(pl.col("status") == "observed").select("visit_row", "exposure_id", "night")
+        observed = reached.join(seen, on="visit_row") if held is None else held.join(seen, on="exposure_id")
     observed = observed.join(run.targets.select("target_id", "programme", "wanted_visits"), on="target_id")
     nights = run.optional.get("nights")
     if nights is not None and exposures is not None:
@@ -71,23 +79,6 @@ def _check_order(log: FaultLog, exposures: pl.DataFrame, run: Run) -> None:
     hasty = opened.filter(pl.col("is_same_night") & (gap >= -CLOCK_S) & (gap < needed - CLOCK_S))
     detail = pl.format("{} begins before slew, readout and configuration can end", name)
     log.add("exposures", "exposures", hasty, detail, value=gap, limit=needed)
-
-
-def _check_configuration_times(log: FaultLog, exposures: pl.DataFrame, run: Run) -> None:
-    """The time charged for the robots is that of the paths from the night's last pointing to this one."""
-    wide = run.paths.pivot("path", index="visit_row", values="configuration_time_s").join(
-        run.visits.select("visit_row", "start"), on="visit_row"
-    )
-    charged = exposures.join(wide, on="visit_row", how="inner", maintain_order="left")
-    is_same_tile = pl.all_horizontal(pl.col(name) == pl.col(name).shift(1) for name in ("night", *TILE))
-    step = pl.when(is_same_tile).then(pl.col("visit_id") - pl.col("visit_id").shift(1))
-    from_park, to_park = pl.col("park_to_target"), pl.col("start_to_park")
-    onward = pl.when(pl.col("start") == "park").then(to_park + from_park).otherwise("start_to_target")
-    way_back = pl.when(pl.col("night") == pl.col("night").shift(1)).then(from_park.shift(1)).otherwise(0.0).fill_null(0.0)
-    routed = pl.when(step == 0).then(0.0).when(step == 1).then(onward).otherwise(way_back + from_park)
-    constant = run.schedule.configuration_s
-    own = charged.with_columns(own_configuration_time_s=routed if constant is None else pl.lit(constant))
-    log.compare("exposures", "exposures", own, {"configuration_time_s": CLOCK_S}, "read from the paths of the visits")
 
 
 def _check_nights(log: FaultLog, nights: pl.DataFrame, exposures: pl.DataFrame) -> None:

@@ -25,12 +25,12 @@ def check_targets(log: FaultLog, part: Part, run: Run) -> pl.DataFrame:
     -------
         Rows that hold a known target: visit_row, target_id, kind, mag, wanted_visits, is_home (the tile is its home).
     """
-    rows = part.rows
+    rows, table = part.rows, part.names.allocations
     nameless = rows.filter(pl.col("kind").is_null() != pl.col("target_id").is_null())
-    log.add("targets", "allocations", nameless, "target_id and kind are not null together")
+    log.add("targets", table, nameless, "target_id and kind are not null together")
     dead = rows.filter((pl.col("state") == "dead") & pl.col("target_id").is_not_null())
-    log.add("targets", "allocations", dead, "a dead robot holds a target")
-    held = _held(log, rows, run)
+    log.add("targets", table, dead, "a dead robot holds a target")
+    held = _held(log, rows, table, run)
     name = pl.format("target {}", "target_id")
     for rule, is_broken in {
         "belongs to another survey": pl.col("home_survey") != pl.col("survey"),
@@ -39,8 +39,8 @@ def check_targets(log: FaultLog, part: Part, run: Run) -> pl.DataFrame:
         "is not for a robot of this kind": (pl.col("target_kind") == "guide") != (pl.col("robot_kind") == "guide"),
         "is held by several robots": pl.struct("visit_row", "target_id").is_duplicated(),
     }.items():
-        log.add("targets", "allocations", held.filter(is_broken), pl.format("{} {}", name, pl.lit(rule)))
-    _check_places(log, held, run)
+        log.add("targets", table, held.filter(is_broken), pl.format("{} {}", name, pl.lit(rule)))
+    _check_places(log, held, table, run)
     is_home = (pl.col("home_tile_id") == pl.col("tile_id")).fill_null(value=False)
     return held.select("visit_row", "target_id", "mag", "wanted_visits", kind="target_kind", is_home=is_home)
 
@@ -76,19 +76,19 @@ def check_unallocated(log: FaultLog, reached: pl.DataFrame, run: Run) -> None:
     log.compare("targets", "unallocated", both, dict.fromkeys(("n_allocated", "survey", "tile_id"), 0.0))
 
 
-def _held(log: FaultLog, rows: pl.DataFrame, run: Run) -> pl.DataFrame:
+def _held(log: FaultLog, rows: pl.DataFrame, table: str, run: Run) -> pl.DataFrame:
     """Rows that hold a known target, with what the target is; a fault for an unknown one."""
     held = rows.filter(pl.col("target_id").is_not_null())
     target_id = held["target_id"].to_numpy()
     place = np.minimum(np.searchsorted(run.target_ids, target_id), max(len(run.target_ids) - 1, 0))
     is_known = run.target_ids[place] == target_id if len(run.target_ids) else np.zeros(len(place), bool)
     unknown = held.filter(~pl.Series(is_known))
-    log.add("schema", "allocations", unknown, pl.format("no row of targets has target_id {}", "target_id"))
+    log.add("schema", table, unknown, pl.format("no row of targets has target_id {}", "target_id"))
     found = run.targets[place[is_known]].select(*_COLUMNS, "mag", "wanted_visits").rename(_COLUMNS)
     return pl.concat([held.filter(pl.Series(is_known)), found], how="horizontal")
 
 
-def _check_places(log: FaultLog, held: pl.DataFrame, run: Run) -> None:
+def _check_places(log: FaultLog, held: pl.DataFrame, table: str, run: Run) -> None:
     """Robots stand where their targets project: at the angle from the field centre / scale, in the target's direction."""
     centre = run.tiles.select(*TILE, centre_ra=pl.col("ra_deg").radians(), centre_dec=pl.col("dec_deg").radians())
     placed = held.join(centre, on=TILE, how="left", maintain_order="left")
@@ -103,7 +103,7 @@ def _check_places(log: FaultLog, held: pl.DataFrame, run: Run) -> None:
     miss = ((pl.col("x_mm") - stretch * pl.col("east")) ** 2 + (pl.col("y_mm") - stretch * pl.col("north")) ** 2).sqrt()
     off = placed.with_columns(miss_mm=miss).filter(pl.col("miss_mm") > ON_TARGET_MM)
     detail = pl.format("robot is not where target {} projects on the plate", "target_id")
-    log.add("targets", "allocations", off, detail, value=pl.col("miss_mm"), limit=ON_TARGET_MM)
+    log.add("targets", table, off, detail, value=pl.col("miss_mm"), limit=ON_TARGET_MM)
 
 
 def _tangent(ra: pl.Expr, dec: pl.Expr, centre_dec: pl.Expr) -> tuple[pl.Expr, pl.Expr, pl.Expr]:

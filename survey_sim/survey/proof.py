@@ -19,8 +19,8 @@ def prove(run_dir: Path, console: Console) -> CheckResult:
         task = progress.add_task("checking parts", total=None)
         result = check_run(run_dir, lambda done, total: progress.update(task, completed=done, total=total))
     console.print(
-        f"{run_dir}: {result.n_visit} visits, {result.n_path} paths, {result.n_leg} legs, {result.n_pair} pairs of robots; "
-        f"least separation {result.least_separation_mm:.9f} mm"
+        f"{run_dir}: {result.n_visit} visits, {result.n_exposure} pointings, {result.n_path} paths, {result.n_leg} legs, "
+        f"{result.n_pair} pairs of robots; least separation {result.least_separation_mm:.9f} mm"
     )
     if result.is_passed:
         console.print("[bold]no fault[/bold]")
