@@ -1,7 +1,8 @@
 """Tables on disk: Parquet through the schema, with units, each file whole or absent.
 
 A run's folder holds `T.parquet` for most tables, and `T/<part>.parquet` for the large ones (allocations, legs, robot_times,
-exposure_allocations, exposure_legs). Files are written to a temporary folder beside them, flushed, and renamed, so that no reader sees half a file.
+exposure_allocations, exposure_legs). Files are written to a temporary folder beside them, flushed, and renamed, so that no
+reader sees half a file.
 """
 
 import json

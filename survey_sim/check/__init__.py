@@ -60,9 +60,9 @@ nights
     of each programme is science targets with all wanted visits observed by then / all. Where targets may fail
     (`schedule.success_frac` below 1), that is its upper bound, it never falls, and it ends as `target_status` does.
 target_status
-    A row for each science target: `n_observed` pointings with status observed at which a robot holds it, their first and last
-    night, and a reason just where fewer than wanted; upper bounds where targets may fail. In a run without `exposures`, every
-    visit counts as observed, in no night.
+    A row for each science target: `n_observed` pointings with status observed at which a robot holds it, their first and
+    last night, and a reason just where fewer than wanted; upper bounds where targets may fail. In a run without
+    `exposures`, every visit counts as observed, in no night.
 """
 
 from survey_sim.check.faults import CheckResult, Fault
