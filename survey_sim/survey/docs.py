@@ -17,7 +17,8 @@ _HEAD = f"""# Data model
 Every table of a run, schema version {SCHEMA_VERSION}. Most tables are one file, `runs/<name>/<table>.parquet`; the large
 ones are folders of parts, `runs/<name>/<table>/*.parquet`: allocations, legs and robot_times a part for each batch of tiles,
 exposure_allocations and exposure_legs for each group of nights. Files are Parquet with zstd, rows sorted, and carry
-VOParquet metadata (units, UCDs and descriptions for astropy and TOPCAT). The same quantity has the same name in every table; names end in their unit. Null means that there is no value.
+VOParquet metadata (units, UCDs and descriptions for astropy and TOPCAT). The same quantity has the same name in every table;
+names end in their unit. Null means that there is no value.
 
 The plate frame is in mm, origin at the plate centre, x to the east, y to the north, as seen on the sky. Sky positions are
 ICRS, in degrees. Times of a path are seconds from its start; `configuration_time_p95_s` is when 95 % of the robots that move
