@@ -144,6 +144,31 @@ def imprint(
     _console(quiet).print(f"imprint: {write_imprint(run_dir, out)}")
 
 
+@app.command()
+def weights(
+    run_dir: RunDir,
+    realisations: Annotated[int, typer.Option(min=1, help="Realisations of the allocation.")] = 128,
+    survey: Annotated[
+        list[str] | None, typer.Option(help="Survey that is weighed; all by default. May be repeated.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this machine; one a core by default.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Selection probabilities and bitwise weights: the allocation of a run realised many times (table bitweights)."""
+    from survey_sim.survey.weights import weigh_run
+    from survey_sim.survey.workers import Workers
+
+    n_worker = workers or len(os.sched_getaffinity(0))
+    console, crew = _console(quiet), Workers(n_worker)
+    try:
+        path, remarks = weigh_run(run_dir, realisations, crew, console, survey or ())
+    finally:
+        crew.close()
+    for remark in remarks:
+        console.print(f"[yellow]warning:[/yellow] {remark}")
+    console.print(f"weights: {path}")
+
+
 add_field_commands(app)
 
 

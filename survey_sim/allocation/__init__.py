@@ -10,6 +10,7 @@ from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels import crossings
 from survey_sim.allocation.minima import Minima
 from survey_sim.allocation.pooling import plan_visits
+from survey_sim.allocation.realisations import Realisations
 from survey_sim.allocation.rematch import match_again
 from survey_sim.allocation.session import ALLOCATORS, Allocator, Session, VisitAllocation, start_allocation
 from survey_sim.allocation.settings import ALGORITHMS, AllocationSettings, LostReason
@@ -24,6 +25,7 @@ __all__ = [
     "FieldTargets",
     "LostReason",
     "Minima",
+    "Realisations",
     "Session",
     "VisitAllocation",
     "VisitRequest",

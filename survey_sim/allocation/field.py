@@ -1,6 +1,6 @@
 """One tile's targets on one plate, made ready for the kernels: who is near whom, who reaches what."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,9 @@ from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTarge
 from survey_sim.instrument import Plate
 
 BoolArray = npt.NDArray[np.bool_]
+
+# What stands for `priority_gain` in sub-priorities where it is 0.
+LEAST_PRIORITY_GAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,22 @@ class Field:
             return np.zeros(self.targets.n_target, dtype=bool)
         apart = self.xy_mm[:, None] - position_mm[None]
         return ((apart**2).sum(axis=2) < self.separation_mm**2).any(axis=1)
+
+
+def with_sub_priority(field: Field, rng: np.random.Generator, worth: float) -> Field:
+    """The field with the worth of each science target raised by a random part of a step of priority.
+
+    So ties between targets of one priority are broken at random, as by DESI's sub-priorities, and no priority is overtaken.
+
+    Parameters
+    ----------
+    worth
+        The most that is added, in steps of priority.
+    """
+    low, high = PRIORITY_RANGE
+    step = (field.settings.priority_gain or LEAST_PRIORITY_GAIN) / (high - low)
+    drawn = rng.random(field.targets.n_target)
+    return replace(field, value=field.value + np.where(field.targets.is_science, worth * step * drawn, 0.0))
 
 
 @dataclass(frozen=True)

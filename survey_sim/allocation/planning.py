@@ -68,23 +68,12 @@ class Planner:
         field, settings = self.field, self.field.settings
         limit = settings.max_visits if settings.visits is None else min(settings.visits, settings.max_visits)
         limit -= request.visit_id
-        search = _Search(field, request, self._state)
+        search = Search(field, request, self._state)
         old = self._is_planned[:, :limit]
         least = min(limit, max(search.least_visits(), old.shape[1]))
         n_visit = least if settings.visits is None else limit
         kept = search.visits_of(old)
-        visit_of, guides = search.fill(n_visit, kept)
-        while settings.visits is None and (lack := search.lack(visit_of)).any():
-            if search.favour(lack > 0):
-                visit_of, guides = search.fill(n_visit, visit_of)
-                lack = search.lack(visit_of)
-            more = min(limit - n_visit, -(-int(lack.sum()) // max(1, search.capacity)))
-            if more <= 0:
-                break
-            wider, wider_guides = search.fill(n_visit + more, visit_of)
-            if (wider >= 0).sum() <= (visit_of >= 0).sum():
-                break
-            n_visit, visit_of, guides = n_visit + more, wider, wider_guides
+        n_visit, visit_of, guides = search.fill_enough(n_visit, kept, limit)
         if not self._is_short or (kept >= 0).sum() < KEPT_FRAC * (visit_of >= 0).sum():
             visit_of = search.shorten(n_visit, visit_of, guides)
             self._is_short = True
@@ -96,16 +85,43 @@ class Planner:
             self._is_planned[chosen, visit] = True
 
 
-class _Search:
-    """The items of one plan and the searches over them."""
+class PlannedGuides:
+    """Guide stars of each visit: those that stand in the way of the least science, not always the same."""
 
-    def __init__(self, field: Field, request: VisitRequest, state: np.ndarray) -> None:
+    def __init__(self, field: Field, request: VisitRequest, is_wanted: BoolArray) -> None:
+        self._field, self._request = field, request
+        self._is_guide = request.is_open & (field.targets.kind == GUIDE)
+        self._blocked = np.where(is_wanted, field.value, 0.0)
+        self._chosen: list[IntArray] = []
+
+    def first(self, n_visit: int) -> list[IntArray]:
+        """Guides of so many visits; those of a visit are the same whatever the number."""
+        if not self._is_guide.any():
+            return [np.empty(0, dtype=np.int64)] * n_visit
+        field, request = self._field, self._request
+        while len(self._chosen) < n_visit:
+            displaced = field.sum_near(self._blocked)
+            value = NEEDED_VALUE - displaced / (1.0 + displaced.max(initial=0.0))
+            held = match(field, request.start_mm, self._is_guide, request.is_pair_open, value)
+            chosen = held[held >= 0]
+            self._chosen.append(chosen)
+            self._blocked = self._blocked * (1.0 + field.near_any(chosen))
+        return self._chosen[:n_visit]
+
+
+class Search:
+    """The items of one plan and the searches over them; `guides` may be shared by plans of the same field."""
+
+    def __init__(
+        self, field: Field, request: VisitRequest, state: np.ndarray, guides: "PlannedGuides | None" = None
+    ) -> None:
         self.field, self.request, self.state = field, request, state
         targets, settings = field.targets, field.settings
         is_served = request.is_open & (np.diff(field.reach_first) > 0)
         copies = np.where(is_served & targets.is_science, request.missing, 0)
         self.item_target, self.near_first, self.near = make_items(copies, field.near_first, field.near)
         self.copies = copies
+        self.guides = guides or PlannedGuides(field, request, copies > 0)
         # A target counts when it is complete: each of its visits is worth its share.
         worth = VALUE_UNIT * field.value / np.maximum(copies, 1)
         self.value = np.maximum(1, np.round(worth[self.item_target])).astype(np.int64)
@@ -140,9 +156,25 @@ class _Search:
         self.value = np.where((programme >= 0) & is_lacking[programme], 2, 1) * self.value
         return True
 
+    def fill_enough(self, n_visit: int, visit_of: IntArray, limit: int) -> tuple[int, IntArray, list[IntArray]]:
+        """Most value in so many visits, or, if their number is not set, in as many more as the completeness wanted needs."""
+        visit_of, guides = self.fill(n_visit, visit_of)
+        while self.field.settings.visits is None and (lack := self.lack(visit_of)).any():
+            if self.favour(lack > 0):
+                visit_of, guides = self.fill(n_visit, visit_of)
+                lack = self.lack(visit_of)
+            more = min(limit - n_visit, -(-int(lack.sum()) // max(1, self.capacity)))
+            if more <= 0:
+                break
+            wider, wider_guides = self.fill(n_visit + more, visit_of)
+            if (wider >= 0).sum() <= (visit_of >= 0).sum():
+                break
+            n_visit, visit_of, guides = n_visit + more, wider, wider_guides
+        return n_visit, visit_of, guides
+
     def fill(self, n_visit: int, visit_of: IntArray) -> tuple[IntArray, list[IntArray]]:
         """Most value in so many visits; targets that cannot get all their visits are given up, the least begun first."""
-        guides = self._pick_guides(n_visit)
+        guides = self.guides.first(n_visit)
         is_shut = self._shut(guides)
         is_dropped = (self.copies > n_visit)[self.item_target]
         for _ in range(N_GIVE_UP):
@@ -214,23 +246,6 @@ class _Search:
             position[robots] = field.xy_mm[held[robots]]
         visit_of[robot_of < 0] = -1
         return slot, robot_of
-
-    def _pick_guides(self, n_visit: int) -> list[IntArray]:
-        """Guide stars of each visit: those that stand in the way of the least science, not always the same."""
-        field = self.field
-        is_guide = self.request.is_open & (field.targets.kind == GUIDE)
-        if not is_guide.any():
-            return [np.empty(0, dtype=np.int64)] * n_visit
-        blocked = np.where(self.copies > 0, field.value, 0.0)
-        guides = []
-        for _ in range(n_visit):
-            displaced = field.sum_near(blocked)
-            value = NEEDED_VALUE - displaced / (1.0 + displaced.max(initial=0.0))
-            held = match(field, self.request.start_mm, is_guide, self.request.is_pair_open, value)
-            chosen = held[held >= 0]
-            guides.append(chosen)
-            blocked = blocked * (1.0 + field.near_any(chosen))
-        return guides
 
     def _shut(self, guides: list[IntArray]) -> BoolArray:
         """(n_target, n_visit) targets that a visit's guides leave no room for."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, VisitRequest, make_field
-from survey_sim.allocation.planning import _Search
+from survey_sim.allocation.planning import Search
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import FieldTargets
 from survey_sim.instrument import Plate
@@ -40,7 +40,7 @@ def plan_visits(
     is_free = field.is_on_plate & ~field.blocked_by(plate.park_mm[~plate.is_live]) & (is_open | ~targets.is_science)
     missing = np.where(targets.is_science & is_free, targets.wanted_visits, 0)
     request = VisitRequest(0, plate.park_mm, is_free, np.ones(len(field.reach_robot), dtype=bool), missing)
-    search = _Search(field, request, rng.integers(1, 2**63, size=1, dtype=np.uint64))
+    search = Search(field, request, rng.integers(1, 2**63, size=1, dtype=np.uint64))
     visit_of, _ = search.fill(n_visit, search.visits_of(kept[:, :n_visit]))
     best = _completed(search, n_visit, visit_of)
     for _ in range(N_FAVOUR):
@@ -52,7 +52,7 @@ def plan_visits(
     return best
 
 
-def _completed(search: _Search, n_visit: int, visit_of: np.ndarray) -> BoolArray:
+def _completed(search: Search, n_visit: int, visit_of: np.ndarray) -> BoolArray:
     """(n_target, n_visit) visits of the targets that get all of theirs."""
     placed = np.bincount(search.item_target[visit_of >= 0], minlength=len(search.copies))
     is_kept = (visit_of >= 0) & (placed == search.copies)[search.item_target]

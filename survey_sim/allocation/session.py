@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.allocation.closest import choose_advanced, choose_basic
-from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field
+from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field, with_sub_priority
 from survey_sim.allocation.foreign import checked_choice
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle
@@ -228,7 +228,10 @@ def start_allocation(
     plan
         (n_target, n_visit) which targets are wanted in which visit, for `plan` to begin from.
     """
-    return Session(make_field(targets, plate, settings), rng, n_done, plan)
+    field = make_field(targets, plate, settings)
+    if settings.sub_priority:
+        field = with_sub_priority(field, rng, settings.sub_priority)
+    return Session(field, rng, n_done, plan)
 
 
 def _chooser(field: Field, rng: np.random.Generator, plan: BoolArray | None) -> Choice:

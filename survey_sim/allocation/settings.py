@@ -63,6 +63,9 @@ class AllocationSettings(Settings):
     min_sky_region: int = Field(1, ge=0)
     # A target of priority p is worth 1 + priority_gain (p - 1) / 8 (assumed: number first, then priority).
     priority_gain: float = Field(0.1, ge=0)
+    # Ties between targets of one priority are broken at random: each is worth a random part of so many steps of priority
+    # more, drawn for each tile by the seed. 0: as the search falls. Selection weights need it above 0 (docs/imprint.md).
+    sub_priority: float = Field(0.0, ge=0, le=1)
     # `plan`: what a visit's delay of a target of the highest priority costs, as a move of so many mm (assumed).
     delay_worth_mm: float = Field(10.0, ge=0)
     # `plan`: length of its searches, as a multiple of the usual one.

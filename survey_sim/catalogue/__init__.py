@@ -4,11 +4,12 @@ from survey_sim.catalogue.cards import Card, CardSettings, Columns, list_cards, 
 from survey_sim.catalogue.commands import check_catalogue, make_catalogue
 from survey_sim.catalogue.mock import MockRecipe, make_mock
 from survey_sim.catalogue.reading import Catalogue, read_catalogue
-from survey_sim.catalogue.settings import PriorityBin, ProgrammeSettings
+from survey_sim.catalogue.settings import KEYS_OF_SCIENCE, PriorityBin, ProgrammeSettings
 from survey_sim.catalogue.targets import Targets, make_targets
 from survey_sim.region import Region
 
 __all__ = [
+    "KEYS_OF_SCIENCE",
     "Card",
     "CardSettings",
     "Catalogue",

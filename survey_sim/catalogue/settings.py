@@ -24,7 +24,7 @@ _DEFAULTS_OF_KIND: Mapping[str, Mapping[str, Any]] = {
     "sky": {"density_per_sq_deg": 12.0},
 }
 # Keys that mean nothing to the other kinds.
-_KEYS_OF_SCIENCE = ("exposure_s", "visits", "completeness_frac")
+KEYS_OF_SCIENCE = ("exposure_s", "visits", "completeness_frac")
 
 
 class PriorityBin(Settings):
@@ -86,7 +86,7 @@ class ProgrammeSettings(Settings):
     def _is_consistent(self) -> "ProgrammeSettings":
         if (self.kind == "sky") != (self.catalogue is None):
             raise ValueError("kind 'sky' takes no catalogue, every other kind needs one")
-        if self.kind != "science" and (stray := self.model_fields_set.intersection(_KEYS_OF_SCIENCE)):
+        if self.kind != "science" and (stray := self.model_fields_set.intersection(KEYS_OF_SCIENCE)):
             raise ValueError(f"{', '.join(sorted(stray))}: only for kind 'science'")
         if self.kind == "science" and self.density_per_sq_deg is not None:
             raise ValueError("density_per_sq_deg: not for kind 'science'")

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from survey_sim.allocation import ALGORITHMS, AllocationSettings
-from survey_sim.catalogue import ProgrammeSettings
+from survey_sim.catalogue import KEYS_OF_SCIENCE, ProgrammeSettings
 from survey_sim.errors import InputError, did_you_mean
 from survey_sim.extensions import origin
 from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
@@ -185,6 +185,25 @@ def load_pipeline(path: Path, changes: Sequence[str] = (), values_set: Mapping[s
     settings = PipelineSettings.load(values, file=path)
     settings.plate(path.parent)
     return settings
+
+
+def recorded_pipeline(record: Mapping[str, Any], file: Path) -> PipelineSettings:
+    """Settings of a run from its run.json, which holds all constants of its instrument.
+
+    Raises
+    ------
+    InputError
+        The record has no settings, or was written by another version.
+    """
+    if not {"settings", "instrument"} <= set(record):
+        raise InputError("is not the record of a run", file=file, remedy="name the folder of a finished run")
+    values = dict(record["settings"])
+    values["instrument"] = {**values["instrument"], "preset": "taipan-150", "overrides": record["instrument"]}
+    values["programme"] = [
+        {key: value for key, value in programme.items() if programme["kind"] == "science" or key not in KEYS_OF_SCIENCE}
+        for programme in values["programme"]
+    ]
+    return PipelineSettings.load(values, file=file)
 
 
 def _place_catalogues(values: dict[str, Any], folder: Path) -> None:

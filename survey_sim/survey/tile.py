@@ -65,7 +65,7 @@ def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:
     """
     settings = job.allocation
     minima = Minima.of(settings, job.plate)
-    rows = TileRows(job.survey, job.tile_id, _field(job), job.plate, minima, settings.bound)
+    rows = TileRows(job.survey, job.tile_id, field_of(job), job.plate, minima, settings.bound)
     reason = np.zeros(rows.field.n_target, dtype=np.int8)
     state = _park(job.plate)
     for number, group in enumerate(magnitude_groups(rows.field, settings.mag_ranges)):
@@ -187,7 +187,7 @@ def _stream(job: TileJob, stage: str, *keys: str | int) -> np.random.Generator:
     return stream(job.seed, stage, job.survey, job.tile_id, *keys)
 
 
-def _field(job: TileJob) -> FieldTargets:
+def field_of(job: TileJob) -> FieldTargets:
     """The tile's targets on its plate."""
     ra, dec = (job.targets[name].to_numpy() for name in ("ra_deg", "dec_deg"))
     position = sky_to_plate(ra, dec, job.centre_deg, job.plate.instrument.plate_scale_arcsec_mm)
