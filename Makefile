@@ -22,8 +22,11 @@ lint: $(VENV)/.dev  ## style, types and the rooms' import directions
 bench: $(VENV)/.dev  ## benchmarks of kernels and stages, as ratios to a yardstick of the same run
 	$(BIN)/pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,max,rounds
 
-docs: $(VENV)/.installed  ## write docs/data-model.md from the schema
-	$(BIN)/python -m survey_sim.survey.docs docs/data-model.md
+docs: $(VENV)/.docs  ## build the pages of docs/ into site/, and docs/data-model.md from the schema
+	$(BIN)/python -m survey_sim.survey.docs docs
+	$(BIN)/python docs/figures.py docs/made
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs site
+	@echo "look at site/index.html"
 
 catalogues: $(VENV)/.installed  ## make the mock catalogues in the cache, and check all cards
 	$(BIN)/survey-sim catalogue make taipan-mock
@@ -40,7 +43,7 @@ help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 clean:  ## remove the environment, runs and caches
-	rm -rf $(VENV) runs .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) runs site docs/made .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("survey-sim needs Python 3.11 or later" if sys.version_info < (3, 11) else 0)'
@@ -53,4 +56,8 @@ $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
 
 $(VENV)/.dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	touch $@

@@ -1,4 +1,7 @@
-"""Writes the docs page of the data model from the schema: `python -m survey_sim.survey.docs PAGE.md`."""
+"""Writes the docs pages that follow from the code: `python -m survey_sim.survey.docs docs`.
+
+`data-model.md` is kept, for it is read without building the docs; what goes into `made/` is not.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import polars as pl
 
 from survey_sim.schema import SCHEMA_VERSION, TABLES, Column, Table
 from survey_sim.study_schema import STUDY_TABLES
+from survey_sim.survey.settings_page import settings_page
 
 _HEAD = f"""# Data model
 
@@ -62,5 +66,12 @@ def _row(column: Column, name: str) -> str:
     return f"| `{name}` | {kind} | {column.unit} | {column.description} | {column.ucd} |"
 
 
+def main(folder: Path) -> None:
+    """Write the pages into the folder of the docs."""
+    (folder / "made").mkdir(exist_ok=True)
+    (folder / "data-model.md").write_text(data_model_page(), encoding="utf-8")
+    (folder / "made" / "settings.md").write_text(settings_page(), encoding="utf-8")
+
+
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(data_model_page(), encoding="utf-8")
+    main(Path(sys.argv[1]))
