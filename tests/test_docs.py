@@ -39,7 +39,7 @@ _NIGHTS = "[schedule]\nstart_date = 2016-10-01\nend_date = 2016-10-02\n"
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """What pages suppose: a pipeline `small.toml`, its run `runs/small`, which is `runs/demo` too, one field's `targets.csv`, `positions.xml`."""
+    """What pages suppose: a pipeline `small.toml` and its run `runs/small`, which is `runs/demo` too; a field's targets."""
     place = tmp_path_factory.mktemp("docs")
     pipeline = write_specimen(place, f"[allocation]\nmax_visits = 2\n{_NIGHTS}[output]\ntiles_per_part = 1\n", width_deg=6.0)
     pipeline.rename(place / "small.toml")
