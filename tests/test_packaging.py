@@ -19,7 +19,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PACKAGE_OF = {
     "erfa": "pyerfa",
     "multipart": "python-multipart",
-    "myst_parser": "myst-parser",
     "dask": "distributed",
     "markupsafe": "jinja2",
     "mpl_toolkits": "matplotlib",
@@ -139,8 +138,8 @@ def imported(*places: str) -> set[str]:
         for name in _modules(ast.parse(source.read_text(encoding="utf-8"))):
             top = name.split(".")[0]
             if top not in sys.stdlib_module_names:
-                found.add(PACKAGE_OF.get(top, top))
-    return found - {"survey_sim", "tests", "turn_taking"}
+                found.add(PACKAGE_OF.get(top, top.replace("_", "-")))
+    return found - {"survey-sim", "tests", "turn-taking"}
 
 
 def _modules(tree: ast.AST) -> Iterator[str]:
