@@ -47,7 +47,7 @@ def weigh_run(
     """
     if not 1 <= n_realisation <= MOST_REALISATIONS:
         raise InputError(f"outside [1, {MOST_REALISATIONS}]", place="--realisations")
-    run = _open(run_dir, console)
+    run = open_recorded(run_dir, console)
     chosen = list(surveys) or list(run.settings.surveys)
     unknown = [name for name in chosen if name not in run.settings.surveys]
     if unknown:
@@ -108,7 +108,7 @@ def realise_tile(job: TileJob, n_realisation: int) -> pl.DataFrame:
     )
 
 
-def _open(run_dir: Path, console: Console) -> Run:
+def open_recorded(run_dir: Path, console: Console) -> Run:
     """A finished run from its record, which holds all constants of the instrument."""
     file = run_dir / "run.json"
     return Run(run_dir, file, recorded_pipeline(tables.read_record(run_dir), file), Workers(), console)
