@@ -40,7 +40,7 @@ def draw(run: RunTables) -> Figure:
     right.set_ylim(bottom=0)
     left.set_title("Completeness")
     right.set_title("Targets")
-    add_legend(left, loc="lower left")
+    add_legend(left, loc="best")
     add_legend(right, loc="upper right")
     for axes in (left, right):
         axes.set_xlabel("Galactic latitude, absolute (deg)")

@@ -12,6 +12,7 @@ from survey_sim import tables
 from survey_sim.check import check_run
 from survey_sim.cli import app
 from survey_sim.errors import InputError
+from survey_sim.folders import data_folder, find_pipeline
 from survey_sim.schema import TABLES
 from survey_sim.survey.engine import run_stages
 from survey_sim.survey.run import open_run
@@ -180,3 +181,18 @@ def test_a_share_of_dead_robots_is_drawn_by_the_seed_and_nested(sky: Path) -> No
     assert dead(0.1, 1) != dead(0.1, 2)
     named = load_pipeline(pipeline, ["instrument.dead_frac=0.02", "instrument.dead_robots=[155]"]).plate(pipeline.parent)
     assert np.count_nonzero(~named.is_live) == 4
+
+
+def test_the_shipped_sweeps_are_sound() -> None:
+    files = sorted((data_folder("pipelines") / "scenarios").glob("*.toml"))
+    assert {file.stem for file in files} == {
+        *("patrol-radius", "separation", "robots", "dead-robots", "allocator", "router", "travel-power"),
+        *("exposure-time", "weather", "configuration"),
+    }
+    for file in files:
+        sweep = load_sweep(find_pipeline(file.stem))
+        assert len(sweep.members) == len(sweep.settings.scenario) * len(sweep.settings.seeds) >= 8
+        assert sweep.members[0].scenario == sweep.settings.reference_name
+        runs = {member.scenario: member.open(Workers()) for member in sweep.members if member.seed == 1}
+        dumps = {name: json.dumps(run.settings.model_dump(mode="json", exclude={"run"})) for name, run in runs.items()}
+        assert len(set(dumps.values())) == len(runs), f"{file.stem}: two scenarios are the same"
