@@ -2,7 +2,7 @@
 
 Share of visits whose robots are at rest within so many seconds: all robots (solid), 95 % of those that move (dashed),
 and the slowest robot were it alone (dotted). Left: every visit, from where the last visit of its tile ended. Right: at
-the telescope, for every pointing that was made, from the configuration before, of whatever tile. Vertical: the readout of the
+the telescope, for every pointing that was made, from the configuration before, whatever its tile. Vertical: readout of the
 CCD, and the constant 5 minutes that surveys charge for configuration, which is also TAIPAN's requirement.
 """
 
