@@ -44,7 +44,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     pipeline = write_specimen(place, f"[allocation]\nmax_visits = 2\n{_NIGHTS}[output]\ntiles_per_part = 1\n", width_deg=6.0)
     pipeline.rename(place / "small.toml")
     run = open_run(place / "small.toml", Workers(), place / "runs" / "small")
-    run_stages(run, ("targets", "tiles", "visits", "schedule"))
+    run_stages(run, ("targets", "tiles", "pool", "visits", "schedule"))
     run.record_settings()
     (place / "runs" / "demo").symlink_to("small")
     rng = np.random.default_rng(1)
