@@ -336,6 +336,13 @@ _TABLES = (
             Column("slew_s", FLOAT, "s", "time.duration", "telescope's slew from the last pointing"),
             Column("configuration_time_s", FLOAT, "s", "time.duration", "robots' configuration for this pointing"),
             Column("readout_s", FLOAT, "s", "time.duration", "readout of the last exposure"),
+            Column(
+                "overhead_s",
+                FLOAT,
+                "s",
+                "time.duration",
+                "from when the telescope was free until the shutter opened, or cloud came",
+            ),
             Column("exposure_s", FLOAT, "s", "time.duration;obs.exposure", "shutter open"),
             Column("airmass", FLOAT, "", "obs.airMass", "at mid-exposure"),
             Column("moon_alt_deg", FLOAT, "deg", "pos.az.alt", "altitude of the Moon at mid-exposure"),
@@ -402,6 +409,7 @@ _TABLES = (
                 "from the end of evening twilight to the start of morning twilight",
             ),
             Column("lost_s", FLOAT, "s", "time.duration", "of that, lost to weather"),
+            Column("engineering_s", FLOAT, "s", "time.duration", "of that, clear but given to engineering"),
             Column("exposing_s", FLOAT, "s", "time.duration", "of that, with the shutter open"),
             Column(
                 "overhead_s",
@@ -415,6 +423,48 @@ _TABLES = (
         key=("night",),
         order=("night",),
         prefixes=(_frac("completeness_frac_", "completeness of the programme named, after this night"),),
+    ),
+    Table(
+        "time_budget",
+        "what a year's time between twilights was spent on",
+        (
+            Column("year", INT16, "yr", "time.epoch", "calendar year of the evenings"),
+            Column("survey", TEXT, "", "meta.id", "survey that spent it; null: none", True),
+            Column(
+                "activity",
+                TEXT,
+                "",
+                "meta.code",
+                "exposing, reading, slewing (beyond the readout), configuring (beyond both), calibrating; weather, "
+                "engineering, idle",
+            ),
+            Column("time_s", FLOAT, "s", "time.duration", "time spent"),
+        ),
+        key=("year", "survey", "activity"),
+        order=("year", "survey", "activity"),
+    ),
+    Table(
+        "completeness",
+        "a programme's targets in a bin of a quantity",
+        (
+            Column("programme", TEXT, "", "meta.id;obs.proposal", "science case"),
+            SURVEY,
+            Column(
+                "quantity",
+                TEXT,
+                "",
+                "meta.code",
+                "all; year (by its end); mag (mag); priority; density (targets of the survey per square degree in a HEALPix "
+                "cell of order 6); latitude (Galactic, absolute, deg)",
+            ),
+            Column("low", FLOAT, "", "stat.min", "lower edge of the bin, included; null: none", True),
+            Column("high", FLOAT, "", "stat.max", "upper edge of the bin, not included; null: none", True),
+            _count("n_target", "science targets of the programme in the bin"),
+            _count("n_complete", "those observed in all the visits that they want"),
+            _frac("completeness_frac", "n_complete / n_target"),
+        ),
+        key=("programme", "quantity", "low"),
+        order=("programme", "quantity", "low"),
     ),
     Table(
         "target_status",

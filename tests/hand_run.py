@@ -6,7 +6,7 @@ tile 1 what robot 1 holds in the visit, and misses its target on the second nigh
 """
 
 import json
-from math import asin, atan2, ceil, cos, degrees, hypot, radians, sin
+from math import asin, atan2, ceil, cos, degrees, floor, hypot, log2, pi, radians, sin
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -189,6 +189,7 @@ def make_tables(
         rows["tiles"].append({"survey": SURVEY, "tile_id": tile, "ra_deg": ra, "dec_deg": dec, "n_target": n})
         _add_tile(rows, tile, targets, n, start, first)
     _add_schedule(rows, targets)
+    _add_outcome(rows, targets)
     return {table: _frame(table, own) for table, own in rows.items()}
 
 
@@ -316,7 +317,14 @@ def _add_schedule(rows: dict[str, list[dict]], targets: list[dict]) -> None:
         rows["exposures"].append(
             {"exposure_id": i, "night": night, "start_mjd": 57400.0 + mjd, "survey": SURVEY, "tile_id": tile}
             | {"visit_id": visit, "slew_s": 30.0, "configuration_time_s": configuration, "readout_s": 60.0}
-            | {"exposure_s": exposure, "airmass": 1.2, "moon_alt_deg": -10.0, "moon_sep_deg": 90.0, "status": status}
+            | {
+                "overhead_s": 40.0 if status == "not-started" else 108.0,
+                "exposure_s": exposure,
+                "airmass": 1.2,
+                "moon_alt_deg": -10.0,
+                "moon_sep_deg": 90.0,
+                "status": status,
+            }
         )
         if status == "observed":
             for target in held.values():
@@ -324,10 +332,22 @@ def _add_schedule(rows: dict[str, list[dict]], targets: list[dict]) -> None:
                     done[target].append(night)
     for night in (0, 1):
         own = [row["exposure_s"] for row in rows["exposures"] if row["night"] == night]
+        overhead_s = sum(row["overhead_s"] for row in rows["exposures"] if row["night"] == night)
         n_complete = sum(sum(n <= night for n in done[t]) >= wanted[t] for t in wanted)
         rows["nights"].append(
-            {"night": night, "evening_mjd": 57400.0 + night, "dark_s": 30000.0, "lost_s": 0.0, "exposing_s": sum(own)}
-            | {"overhead_s": 0.0, "n_exposure": len(own), "completeness_frac_case": n_complete / len(wanted)}
+            {
+                "night": night,
+                "evening_mjd": 57400.0 + night,
+                "dark_s": 30000.0,
+                "lost_s": 1000.0 * night,
+                "exposing_s": sum(own),
+            }
+            | {
+                "engineering_s": 50.0 * night,
+                "overhead_s": overhead_s,
+                "n_exposure": len(own),
+                "completeness_frac_case": n_complete / len(wanted),
+            }
         )
     allocated = {t: sum(t in held.values() for held in HELD.values()) for t in wanted}
     for t, nights in done.items():
@@ -366,6 +386,43 @@ def _add_pointing(
         rows["exposure_legs"] += [key | {"robot_id": robot, "leg": n} | leg for n, leg in enumerate(legs[robot])]
     rows["exposure_paths"].append(key | figures)
     return ends, figures["configuration_time_s"]
+
+
+def _add_outcome(rows: dict[str, list[dict]], targets: list[dict]) -> None:
+    """All nights are of 2016: evenings from MJD 57400, 2016-01-13; robots take less than the readout of 60 s."""
+    n, overhead = len(POINTINGS), sum(row["overhead_s"] for row in rows["exposures"])
+    exposing = sum(row["exposure_s"] for row in rows["exposures"])
+    spent = {"exposing": exposing, "reading": 60.0 * (n - 1) + 40.0, "calibrating": 48.0 * (n - 1)}
+    spent |= {"slewing": 0.0, "configuring": 0.0}
+    lost = {"weather": 1000.0, "engineering": 50.0, "idle": 60000.0 - 1050.0 - exposing - overhead}
+    for survey, own in ((SURVEY, spent), (None, lost)):
+        rows["time_budget"] += [{"year": 2016, "survey": survey, "activity": k, "time_s": v} for k, v in own.items()]
+    complete = {row["target_id"] for row in rows["target_status"] if row["reason"] is None}
+    science = [row for row in targets if row["kind"] == "science"]
+    per_sq_deg = len(science) / (360.0**2 / pi / (12 * 64**2))
+    step = floor(2 * log2(per_sq_deg))
+    bins = {
+        "all": lambda row: (None, None),
+        "year": lambda row: (2016.0, 2017.0),
+        "mag": lambda row: (floor(2 * row["mag"]) / 2, floor(2 * row["mag"]) / 2 + 0.5),
+        "priority": lambda row: (5.0, 6.0),
+        "density": lambda row: (2 ** (step / 2), 2 ** ((step + 1) / 2)),
+        "latitude": lambda row: (floor(_latitude(row) / 10) * 10.0, floor(_latitude(row) / 10) * 10.0 + 10.0),
+    }
+    for quantity, bin_of in bins.items():
+        for low, high in sorted({bin_of(row) for row in science}):
+            own = [row["target_id"] for row in science if bin_of(row) == (low, high)]
+            n_complete = len(complete & set(own))
+            rows["completeness"].append(
+                {"programme": "case", "survey": SURVEY, "quantity": quantity, "low": low, "high": high, "n_target": len(own)}
+                | {"n_complete": n_complete, "completeness_frac": n_complete / len(own)}
+            )
+
+
+def _latitude(row: dict) -> float:
+    """Galactic latitude, absolute, deg."""
+    ra, dec, pole_ra, pole_dec = map(radians, (row["ra_deg"], row["dec_deg"], 192.85948, 27.12825))
+    return abs(degrees(asin(sin(dec) * sin(pole_dec) + cos(dec) * cos(pole_dec) * cos(ra - pole_ra))))
 
 
 def write_run(folder: Path, made: dict[str, pl.DataFrame]) -> Path:

@@ -727,6 +727,91 @@ PLANTED = {
         "completeness_frac_case is absent",
         {},
     ),
+    "overhead of a night": (
+        "nights",
+        replaced({"night": 0}, overhead_s=1.0),
+        "nights",
+        "overhead_s is not",
+        {"value": 1.0},
+    ),
+    "more time than is clear": (
+        "nights",
+        replaced({"night": 1}, engineering_s=29_000.0),
+        "nights",
+        "more time is spent than is clear",
+        {"value": 29_000.0},
+    ),
+    # time_budget, completeness
+    "time of an activity": (
+        "time_budget",
+        replaced({"activity": "reading"}, time_s=pl.col("time_s") + 1.0),
+        "time_budget",
+        "time_s is not",
+        {"survey": SURVEY},
+    ),
+    "idle time": (
+        "time_budget",
+        replaced({"activity": "idle"}, time_s=pl.col("time_s") - 1.0),
+        "time_budget",
+        "time_s is not",
+        {"survey": None},
+    ),
+    "activity left out": (
+        "time_budget",
+        without({"activity": "weather"}),
+        "time_budget",
+        "row is missing: weather",
+        {},
+    ),
+    "activity of nobody": (
+        "time_budget",
+        replaced({"activity": "slewing"}, activity="dining"),
+        "time_budget",
+        "a row for nothing: dining",
+        {},
+    ),
+    "complete targets of a bin": (
+        "completeness",
+        replaced({"quantity": "priority"}, n_complete=1),
+        "completeness",
+        "n_complete of case, priority",
+        {"value": 1.0},
+    ),
+    "targets of a bin": (
+        "completeness",
+        replaced({"quantity": "mag", "low": 10.0}, n_target=1),
+        "completeness",
+        "n_target of case, mag",
+        {"value": 1.0},
+    ),
+    "share of a bin": (
+        "completeness",
+        replaced({"quantity": "all"}, completeness_frac=0.5),
+        "completeness",
+        "completeness_frac is not",
+        {"value": 0.5},
+    ),
+    "edge of a bin": (
+        "completeness",
+        replaced({"quantity": "density"}, low=1.0, high=2.0),
+        "completeness",
+        "n_target of case, density",
+        {},
+    ),
+    "bin left out": (
+        "completeness",
+        without({"quantity": "latitude", "low": 70.0}),
+        "completeness",
+        "bins of case, latitude do not",
+        {},
+    ),
+    "complete by the end of a year": (
+        "completeness",
+        replaced({"quantity": "year"}, n_complete=1),
+        "completeness",
+        "n_complete of case, year",
+        {"value": 1.0},
+    ),
     # target_status
     "observed too often": (
         "target_status",
@@ -859,7 +944,10 @@ def test_configuration_times_without_paths(run_dir: Path) -> None:
     assert found(run_dir, "exposures", "is absent, and configuration times are routed", {"table": "exposure_paths"})
 
 
-_OPTIONAL = {"rejected", "unallocated", "exposures", "exposure_paths", "nights", "target_status"}
+_OPTIONAL = {"rejected", "unallocated", "exposures", "exposure_paths", "nights", "target_status"} | {
+    "time_budget",
+    "completeness",
+}
 
 
 @pytest.mark.parametrize("table", [*(set(TABLES) - _OPTIONAL)])
@@ -942,6 +1030,7 @@ def test_constant_configuration_time(run_dir: Path) -> None:
         json.dumps({"instrument": hand_run.INSTRUMENT, "settings": {**settings, "allocation": hand_run.MINIMA}})
     )
     assert check_run(run_dir).n_faults == {"exposures": 5}
+    (run_dir / "time_budget.parquet").unlink()
     rewrite(run_dir, "exposures", replaced({}, configuration_time_s=300.0))
     assert check_run(run_dir).is_passed
 
@@ -962,6 +1051,7 @@ class TestTargetsThatMayFail:
         """Target 3 failed in night 0."""
         lost = {"n_observed": 0, "first_night": None, "last_night": None, "reason": "failed"}
         rewrite(uncertain, "target_status", replaced({"target_id": 3}, **lost))
+        (uncertain / "completeness.parquet").unlink()
         one = 1 / made["target_status"].height
         rewrite(uncertain, "nights", replaced({}, completeness_frac_case=pl.col("completeness_frac_case") - one))
         return uncertain

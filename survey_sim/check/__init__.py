@@ -56,9 +56,14 @@ exposure_paths, exposure_allocations, exposure_legs
     its targets, held and missed, are those of its visit; `theta_deg` is that of the last leg; what is missed has a reason.
     All pointings of a night are in one part.
 nights
-    A pointing is within a day of its night's `evening_mjd`; pointings and open-shutter seconds add up; the completeness
+    A pointing is within a day of its night's `evening_mjd`; pointings, overheads and open-shutter seconds add up, to no more
+    than the clear time; the completeness
     of each programme is science targets with all wanted visits observed by then / all. Where targets may fail
     (`schedule.success_frac` below 1), that is its upper bound, it never falls, and it ends as `target_status` does.
+time_budget, completeness
+    Time of each activity by year, pointing by pointing: up to the end of the readout it is reading, then slewing, then
+    configuring, then calibrating. Targets and complete ones of each bin are counted again, and the bins of each quantity
+    hold every target once.
 target_status
     A row for each science target: `n_observed` pointings with status observed at which a robot holds it, their first and
     last night, and a reason just where fewer than wanted; upper bounds where targets may fail. In a run without

@@ -19,7 +19,9 @@ from survey_sim.errors import InputError
 SMALL = ("robots", "targets", "tiles", "visits", "paths")
 LARGE = ("allocations", "legs", "robot_times")
 EXPOSURE_LARGE = ("exposure_allocations", "exposure_legs")
-OPTIONAL = ("unallocated", "exposures", "exposure_paths", "nights", "target_status", "rejected")
+OPTIONAL = (
+    *("unallocated", "exposures", "exposure_paths", "nights", "time_budget", "completeness", "target_status", "rejected"),
+)
 RECORD = "run.json"
 # Parts are looked at together up to so many bytes on disk: enough to be quick, few enough to bound memory.
 GROUP_BYTES = 16 * 2**20

@@ -8,6 +8,7 @@ import polars as pl
 from survey_sim.check.exposures import check_plate, read_exposures
 from survey_sim.check.faults import CheckResult, FaultLog
 from survey_sim.check.inputs import EXPOSURE_LARGE, LARGE, Run, part_groups, read_group, read_run
+from survey_sim.check.outcome import check_outcome
 from survey_sim.check.part import OF_VISITS, Part, make_part
 from survey_sim.check.relations import TILE, check_refers, unsound_tiles
 from survey_sim.check.routes import check_ends, check_legs, check_reach, check_robot_times, check_times, path_separations
@@ -64,6 +65,7 @@ def check_run(run_dir: Path, on_progress: Callable[[int, int], None] | None = No
     if exposures is not None:
         observed = _check_plates(log, run_dir, run, exposures, reached.drop("is_science"), plate_groups, totals, progress)
     check_schedule(log, run, science, observed)
+    check_outcome(log, run)
     return totals.result(log)
 
 

@@ -10,6 +10,8 @@ from survey_sim.check.relations import TILE, VISIT, check_refers
 DAY_S = 86400.0
 # An MJD in double precision is good to 1 us; a night's sums of seconds to much better than this.
 CLOCK_S = 1e-3
+# The telescope counts in whole minutes between the twilights, which are known to the second.
+MINUTE_S = 60.0
 _FRAC = 1e-9
 _PROGRAMME_COLUMN = "completeness_frac_"
 _OVERHEADS = ("slew_s", "readout_s", "configuration_time_s")
@@ -89,10 +91,17 @@ def _check_nights(log: FaultLog, nights: pl.DataFrame, exposures: pl.DataFrame) 
     outside = day.filter((since < 0) | (since >= 1))
     detail = pl.format("exposure {} is outside its night {}", "exposure_id", "night")
     log.add("nights", "exposures", outside, detail, value=pl.col("start_mjd"), limit=pl.col("evening_mjd"))
-    own = exposures.group_by("night").agg(own_n_exposure=pl.len().cast(pl.Int32), own_exposing_s=pl.col("exposure_s").sum())
+    own = exposures.group_by("night").agg(
+        own_n_exposure=pl.len().cast(pl.Int32),
+        own_exposing_s=pl.col("exposure_s").sum(),
+        own_overhead_s=pl.col("overhead_s").sum(),
+    )
     counted = nights.join(own, on="night", how="left", maintain_order="left")
-    counted = counted.with_columns(pl.col("own_n_exposure", "own_exposing_s").fill_null(0))
-    log.compare("nights", "nights", counted, {"n_exposure": 0.0, "exposing_s": CLOCK_S})
+    counted = counted.with_columns(pl.col("^own_.*$").fill_null(0))
+    log.compare("nights", "nights", counted, {"n_exposure": 0.0, "exposing_s": CLOCK_S, "overhead_s": CLOCK_S})
+    clear = pl.col("dark_s") - pl.col("lost_s")
+    beyond = nights.filter(pl.col("engineering_s") + pl.col("exposing_s") + pl.col("overhead_s") > clear + MINUTE_S)
+    log.add("nights", "nights", beyond, "more time is spent than is clear", value=clear)
 
 
 def _check_completeness(

@@ -45,6 +45,7 @@ def exposures_table(
         slew_s=log[:, kernels.LOG_SLEW],
         configuration_time_s=log[:, kernels.LOG_CONFIGURATION],
         readout_s=log[:, kernels.LOG_READOUT],
+        overhead_s=log[:, kernels.LOG_OVERHEAD],
         exposure_s=log[:, kernels.LOG_EXPOSURE],
         airmass=sky[:, 1],
         moon_alt_deg=sky[:, 2],
@@ -63,6 +64,9 @@ def nights_table(
         "evening_mjd": np.array([night.evening_mjd for night in nights], dtype=np.float64),
         "dark_s": np.array([night.dark_s for night in nights], dtype=np.float64),
         "lost_s": np.array([night.lost_s for night in nights], dtype=np.float64),
+        "engineering_s": np.array(
+            [(night.dark_s - night.lost_s) * night.is_engineering for night in nights], dtype=np.float64
+        ),
         "exposing_s": np.array([log[:, kernels.LOG_EXPOSURE].sum() for log in logs], dtype=np.float64),
         "overhead_s": np.array([log[:, kernels.LOG_OVERHEAD].sum() for log in logs], dtype=np.float64),
         "n_exposure": np.array([len(log) for log in logs], dtype=np.int64),

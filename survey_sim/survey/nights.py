@@ -8,7 +8,7 @@ from hashlib import sha256
 import polars as pl
 
 from survey_sim import tables
-from survey_sim.schedule import Programme, Robots, Schedule, make_schedule
+from survey_sim.schedule import Programme, Robots, Schedule, make_completeness, make_schedule, make_time_budget
 from survey_sim.survey.progress import night_progress
 from survey_sim.survey.run import Run, code_digest
 from survey_sim.survey.transitions import Configurations, PlateRobots, Ways, drop_parts, write_parts
@@ -37,6 +37,18 @@ def schedule_run(run: Run) -> Schedule:
         made = _make_schedule(run, robots)
     write_parts(run, robots)
     return made
+
+
+def made_tables(run: Run, made: Schedule) -> dict[str, pl.DataFrame]:
+    """Tables of a schedule, and what they come to."""
+    science = tables.scan(run.folder, "targets").filter(kind="science").collect()
+    return {
+        "exposures": made.exposures,
+        "nights": made.nights,
+        "target_status": made.target_status,
+        "completeness": make_completeness(science, made.target_status, made.nights),
+        "time_budget": make_time_budget(made.exposures, made.nights),
+    }
 
 
 def way_parameters(run: Run) -> dict[str, object]:

@@ -19,7 +19,7 @@ from survey_sim.folders import cache_folder, data_folder
 from survey_sim.instrument import robots_table
 from survey_sim.schema import TABLES
 from survey_sim.survey.batches import Batch, BatchResult, run_batches
-from survey_sim.survey.nights import WAY_ROOMS, schedule_run, way_parameters
+from survey_sim.survey.nights import WAY_ROOMS, made_tables, schedule_run, way_parameters
 from survey_sim.survey.pooling import PLAN, PoolRules, pool_survey
 from survey_sim.survey.progress import tile_progress
 from survey_sim.survey.rows import TILE_TABLES
@@ -44,7 +44,7 @@ _OF_POOLING = (
     *("sky_regions", "priority_gain", "effort", "min_gain", "mag_ranges"),
 )
 # Tables of the schedule that every run has.
-NIGHT_TABLES = ("exposures", "nights", "target_status")
+NIGHT_TABLES = ("exposures", "nights", "target_status", "completeness", "time_budget")
 # Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
 GATHERED = tuple(table for table in TILE_TABLES if not TABLES[table].is_in_parts)
 
@@ -186,8 +186,8 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
 def make_night_schedule(run: Run) -> None:
     """Visits -> exposures and what the plate did at each, nights, status of every science target."""
     made = schedule_run(run)
-    for table in NIGHT_TABLES:
-        tables.write(getattr(made, table), table, run.table(table))
+    for table, frame in made_tables(run, made).items():
+        tables.write(frame, table, run.table(table))
     _warn(run, "schedule", made.warnings)
 
 
