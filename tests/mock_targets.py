@@ -37,6 +37,18 @@ def clustered_xy(n: int, seed: int) -> np.ndarray:
     return places[:n]
 
 
+def clumped_xy(n: int, seed: int, clumped_frac: float, n_clump: int = 60, sigma_mm: float = 7.0) -> np.ndarray:
+    """(n, 2) places, so many of them in Gaussian clumps and the rest spread evenly, mm: denser than galaxies cluster."""
+    rng = np.random.default_rng(seed)
+    centre = uniform_xy(n_clump, seed + 1000)
+    n_in = round(clumped_frac * n)
+    places = np.empty((0, 2))
+    while len(places) < n_in:
+        drawn = centre[rng.integers(0, n_clump, n_in)] + rng.normal(0.0, sigma_mm, (n_in, 2))
+        places = np.vstack([places, drawn[np.hypot(*drawn.T) < PLATE_RADIUS_MM]])
+    return np.vstack([places[:n_in], uniform_xy(n - n_in, seed + 2000)])
+
+
 def field_targets(xy_mm: np.ndarray, **columns: object) -> FieldTargets:
     """Targets at the places given, with ids by row and any further columns."""
     x, y = np.asarray(xy_mm, dtype=float).reshape(-1, 2).T

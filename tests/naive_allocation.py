@@ -73,3 +73,12 @@ def most_complete(park, patrol, xy, wanted, separation, n_visit):
             tuple(min(n + (t in chosen), wanted[t]) for t, n in enumerate(counts)) for counts in reached for chosen in sets
         }
     return max(sum(n == w for n, w in zip(counts, wanted, strict=True)) for counts in reached)
+
+
+def least_distance_with_delay(a, b, delay, n_step=4000):
+    """Least distance of two points that go straight from a[0] to a[1] and b[0] to b[1] at speed 1, b by `delay` later."""
+    length_a, length_b = (np.hypot(*(way[1] - way[0])) for way in (a, b))
+    time = np.linspace(min(0.0, delay), max(length_a, delay + length_b), n_step)
+    at_a = a[0] + np.clip(time / length_a, 0, 1)[:, None] * (a[1] - a[0])
+    at_b = b[0] + np.clip((time - delay) / length_b, 0, 1)[:, None] * (b[1] - b[0])
+    return np.hypot(*(at_a - at_b).T).min()

@@ -6,6 +6,7 @@ from survey_sim.allocation.field import BoolArray, Field, VisitRequest
 from survey_sim.allocation.kernels import pick_apart, take_in_order
 from survey_sim.allocation.matching_kernels import match_open
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, STANDARD, FloatArray, IntArray
+from survey_sim.allocation.untangle_kernels import untangle
 
 # Worth of a fibre that the visit must have, in science targets: at most five targets near one are apart from each other, so
 # nothing that it displaces is worth as much.
@@ -15,6 +16,8 @@ PRIORITY_STEPS = PRIORITY_RANGE[1] - PRIORITY_RANGE[0]
 MAX_STEPS = 1000.0
 # Branchings of the exact search before the best so far is taken (the twelve anchors need at most 31).
 MAX_NODES = 60
+# Share of the robots that must be without a target for exchanges to be worth it; chosen on the demo's tiles.
+SPARE_FRAC = 0.1
 
 
 def choose_matching(field: Field, request: VisitRequest) -> IntArray:
@@ -33,7 +36,7 @@ def choose_matching(field: Field, request: VisitRequest) -> IntArray:
     is_calibration = (field.targets.kind == STANDARD) | (field.targets.kind == SKY)
     is_open = request.is_open & (~is_calibration | is_picked)
     held = match(field, request.start_mm, is_open, request.is_pair_open, value)
-    return fill_calibration(field, request, held)
+    return untangled(field, request, fill_calibration(field, request, held))
 
 
 def match(field: Field, start_mm: FloatArray, is_open: BoolArray, is_pair_open: BoolArray, value: FloatArray) -> IntArray:
@@ -117,6 +120,25 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
     is_held = np.zeros(field.targets.n_target, dtype=bool)
     is_held[held[held >= 0]] = True
     return match(field, request.start_mm, is_held, request.is_pair_open, np.ones(len(is_held)))
+
+
+def untangled(field: Field, request: VisitRequest, held: IntArray) -> IntArray:
+    """The same targets, some by other robots, so that fewer robots are in each other's way (`untangle`).
+
+    Guides may take other stars. Only where robots are to spare: else exchanges lengthen the ways of later visits by more
+    than is won. A travel power of 1 or less asks for the least travel and nothing else.
+    """
+    is_idle = field.plate.is_live & (held < 0)
+    if field.settings.travel_power <= 1.0 or is_idle.sum() < SPARE_FRAC * field.plate.is_live.sum():
+        return held
+    held = held.copy()
+    guides = np.flatnonzero(request.is_open & (field.targets.kind == GUIDE))
+    untangle(
+        request.start_mm, field.plate.park_mm, field.plate.is_live, field.xy_mm, field.settings.travel_power / 2.0,
+        field.settings.used_park_pull, field.reach_first, field.reach_robot, request.is_pair_open,
+        field.near_first, field.near, guides, field.separation_mm, held,
+    )  # fmt: skip
+    return held
 
 
 def sky_by_region(field: Field, held: IntArray) -> IntArray:

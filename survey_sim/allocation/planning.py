@@ -3,7 +3,14 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
-from survey_sim.allocation.matching import NEEDED_VALUE, fill_calibration, lacks_calibration, match, pick_calibration
+from survey_sim.allocation.matching import (
+    NEEDED_VALUE,
+    fill_calibration,
+    lacks_calibration,
+    match,
+    pick_calibration,
+    untangled,
+)
 from survey_sim.allocation.plan_kernels import cover, make_items, sample_within, shorten
 from survey_sim.allocation.targets import GUIDE, SKY, STANDARD, IntArray
 
@@ -50,12 +57,12 @@ class Planner:
         value = np.where(is_guide, NEEDED_VALUE, field.value)
         held = fill_calibration(field, request, match(field, request.start_mm, is_planned, request.is_pair_open, value))
         if not lacks_calibration(field, held):
-            return held
+            return untangled(field, request, held)
         is_calibration = request.is_open & ~field.targets.is_science & ~is_guide
         is_needed, _ = pick_calibration(field, is_planned | is_calibration, request.start_mm)
         value[is_needed] = NEEDED_VALUE
         held = match(field, request.start_mm, is_planned | (is_needed & ~is_guide), request.is_pair_open, value)
-        return fill_calibration(field, request, held)
+        return untangled(field, request, fill_calibration(field, request, held))
 
     def _is_kept(self, request: VisitRequest) -> bool:
         is_science = self.field.targets.is_science
