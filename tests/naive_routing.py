@@ -1,8 +1,13 @@
 """Plain-loop references for routing and simulation: legs walked step by step, distances by dense sampling."""
 
 import math
+from functools import partial
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from survey_sim.motion import alone_time_s
 
 
 def position(instrument, start_mm, legs, robot, when):
@@ -105,3 +110,48 @@ def pair_bound_s(start, goal, r, speed):
     weight = np.linspace(0, 1, 101)
     centre = weight[:, None] * step[0] + (1 - weight)[:, None] * step[1]
     return np.sqrt((centre**2).sum(axis=1) + weight * (1 - weight) * around**2).max() / speed
+
+
+def length_around(start, goal, discs, r, is_inside, n_corner=96):
+    """Length of the shortest way from start to goal outside discs of radius r, or a little less; inf if there is none.
+
+    A visibility graph over polygons inscribed in the discs, so what it goes around is smaller than they are. `is_inside`
+    says of (n, 2) points whether the robot may stand there; the region is convex, so corners are enough.
+    """
+    angle = 2 * np.pi * np.arange(n_corner) / n_corner
+    ring = r * np.column_stack([np.cos(angle), np.sin(angle)])
+    inner = r * math.cos(math.pi / n_corner) * (1 - 1e-9)
+    nodes = np.vstack([[start, goal], *(disc + ring for disc in discs)])
+    apart = np.hypot(*(nodes[:, None] - np.asarray(discs)[None]).transpose(2, 0, 1))
+    nodes = nodes[(apart >= inner).all(axis=1) & is_inside(nodes)]
+    step = nodes[None] - nodes[:, None]
+    length = np.hypot(*step.transpose(2, 0, 1))
+    is_clear = np.ones(length.shape, dtype=bool)
+    for disc in discs:
+        to_disc = disc - nodes[:, None]
+        share = np.clip((to_disc * step).sum(axis=2) / np.maximum(length, 1e-12) ** 2, 0, 1)
+        is_clear &= np.hypot(*(to_disc - share[..., None] * step).transpose(2, 0, 1)) >= inner
+    distance = dijkstra(csr_matrix(np.where(is_clear, length, 0.0)), indices=0)
+    return float(distance[1])
+
+
+def time_around_s(plate, start_mm, theta_deg, goal_mm, is_counted):
+    """A bound that takes dead robots for discs: the slowest robot alone, on its shortest way around them."""
+    instrument, dead = plate.instrument, start_mm[~plate.is_live]
+    alone_s = alone_time_s(instrument, start_mm, theta_deg, goal_mm)
+    r, slowest = instrument.min_separation_mm - 1e-6, 0.0
+    for i in np.flatnonzero(is_counted & plate.is_live & (alone_s > 0)):
+        a, b, park, reach = start_mm[i], goal_mm[i], plate.park_mm[i], plate.patrol_radius_mm[i]
+        share = np.clip((dead - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        own_s = alone_s[i]
+        if (np.hypot(*(dead - a - share[:, None] * (b - a)).T) < r).any():
+            near = dead[np.hypot(*(dead - park).T) < reach + r]
+            inside = partial(_is_in_reach, park=park, reach=reach, plate_radius=instrument.plate_radius_mm)
+            slow = instrument.precise_approach_mm * (1 / instrument.precise_speed_mm_s - 1 / instrument.coarse_speed_mm_s)
+            own_s = max(own_s, length_around(a, b, near, r, inside) / instrument.coarse_speed_mm_s + slow)
+        slowest = max(slowest, own_s)
+    return slowest
+
+
+def _is_in_reach(points, park, reach, plate_radius):
+    return (np.hypot(*(points - park).T) <= reach + 1e-6) & (np.hypot(*points.T) <= plate_radius + 1e-6)

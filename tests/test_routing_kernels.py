@@ -78,32 +78,45 @@ def test_both_ends_of_the_line_blocked_leave_no_delay():
     assert hi[0] == np.inf
 
 
+def _tasks(start, goal):
+    """Records of free robots with a patrol radius of 50 mm around their starts, theta 0."""
+    tasks = np.zeros(len(start), kernels.ROBOT)
+    for name, values in zip(("sx", "sy", "gx", "gy", "park_x", "park_y"), np.hstack([start, goal, start]).T, strict=True):
+        tasks[name] = values
+    tasks["hx"], tasks["reach"], tasks["is_free"] = 1.0, 50.0, True
+    return tasks
+
+
 @given(st.floats(-180, 179), st.floats(-40, 40), st.floats(-40, 40), st.booleans())
 @settings(max_examples=60, deadline=None)
 def test_kernel_legs_are_the_legs_of_motion(theta, x, y, is_turned):
     way = np.array([[x, y], [x + 3.0, y - 8.0]])
     robot, turned = np.zeros(2, dtype=np.int32), np.array([is_turned, True])
-    shape = kernels.new_shape(kernels.MAX_LEGS)
-    shape.x[:2], shape.y[:2], shape.turned[:2], shape.wait[:2] = way[:, 0], way[:, 1], turned, (0.0, 4.0)
-    n, end = kernels.build_knots(PHYSICS, shape, 2, 0.0, 0.0, theta, 0.0, 0.0, 160.0)
-    first, theta_1 = kernels.leg_time(PHYSICS, theta, x, y, is_turned, False)
-    start_s = np.array([0.0, first + 4.0])
+    heading = np.cos(np.radians(theta)), np.sin(np.radians(theta))
+    task = _tasks(np.zeros((1, 2)), way[1:])
+    task["hx"], task["hy"] = heading
+    task["reach"] = 160.0
+    plan = np.zeros(1, kernels.PLAN)
+    for name, values in (("x", way[:, 0]), ("y", way[:, 1]), ("turned", turned), ("wait", (0.0, 4.0))):
+        plan[name][0, :2] = values
+    end = kernels.build_knots(PHYSICS, task[0], plan[0], 2)
+    n, knot_t, knot_x, knot_y = (plan[name][0] for name in ("n_knot", "kt", "kx", "ky"))
+    turned_s, square_s = kernels.leg_options(PHYSICS, *heading, x, y, False)
+    start_s = np.array([0.0, (turned_s if is_turned else square_s) + 4.0])
     legs = make_legs(INSTRUMENT, np.zeros((1, 2)), np.array([theta]), robot, start_s, way, turned)
-    assert np.cos(np.radians(theta_1 - legs.theta_deg[0])) == pytest.approx(1)
+    if is_turned and abs(abs(legs.rotate_deg[0]) - 45) > 1e-6:
+        after = np.radians(legs.theta_deg[0])
+        assert kernels.turned_heading(*heading, x, y) == pytest.approx((np.cos(after), np.sin(after)), abs=1e-9)
     assert end == pytest.approx(start_s[1] + np.sum(leg_times_s(INSTRUMENT, legs), axis=0)[1])
     knots = make_trajectories(INSTRUMENT, np.zeros((1, 2)), legs)
     when = np.linspace(0, end, 50)
-    np.testing.assert_allclose(
-        np.interp(when, shape.kt[:n], shape.kx[:n]), np.interp(when, knots.t_s, knots.x_mm), atol=1e-7
-    )
-    np.testing.assert_allclose(
-        np.interp(when, shape.kt[:n], shape.ky[:n]), np.interp(when, knots.t_s, knots.y_mm), atol=1e-7
-    )
+    np.testing.assert_allclose(np.interp(when, knot_t[:n], knot_x[:n]), np.interp(when, knots.t_s, knots.x_mm), atol=1e-7)
+    np.testing.assert_allclose(np.interp(when, knot_t[:n], knot_y[:n]), np.interp(when, knots.t_s, knots.y_mm), atol=1e-7)
 
 
 @given(st.floats(-180, 179), st.floats(-40, 40), st.floats(-40, 40))
 def test_kernel_time_alone_is_that_of_motion(theta, x, y):
-    times = [kernels.leg_time(PHYSICS, theta, x, y, turned, True)[0] for turned in (True, False)]
+    times = kernels.leg_options(PHYSICS, np.cos(np.radians(theta)), np.sin(np.radians(theta)), x, y, True)
     alone = alone_time_s(INSTRUMENT, np.zeros((1, 2)), np.array([theta]), np.array([[x, y]]))[0]
     assert min(times) == pytest.approx(alone, abs=1e-9)
 
@@ -114,13 +127,16 @@ def test_near_robots_are_those_that_any_way_in_time_may_meet():
     n = len(places)
     goal = places.copy()
     goal[0] = [20.0, 0.0]
-    plans = kernels.new_plans(
-        places, np.zeros(n), goal, places, np.full(n, 50.0), np.ones(n, dtype=bool), np.zeros(n), kernels.MAX_LEGS
-    )
+    plans = kernels.stand_still(_tasks(places, goal), np.zeros(n, kernels.PLAN))
     near = np.empty(n, dtype=np.int64)
-    assert sorted(near[: kernels.find_near(PHYSICS, plans, 0, 16.0, R, 0.0, near)]) == [1, 3, 5]
+
+    def found():
+        n_near = kernels.find_near(PHYSICS, plans.robot, plans.plan, plans.conflict, 0, 16.0, R, 0.0, near)
+        return near[:n_near].tolist()
+
+    assert sorted(found()) == [1, 3, 5]
     kernels.start_directly(PHYSICS, plans, R, 0.0)
-    assert near[: kernels.find_near(PHYSICS, plans, 0, 16.0, R, 0.0, near)].tolist() == [5, 3, 1]
+    assert found() == [5, 3, 1]
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -4,11 +4,12 @@ Everybody starts by the quicker direct plan, at once. Pairs that come too near a
 planned again one at a time: the delays of their direct plans first (the forbidden ones are intervals, in closed form),
 then sampled detours of one to three way points with waits; idle robots step aside and come back. A plan is taken if it
 lowers the score of its robot's conflicts: each weighs more the nearer the pair comes, and more with each low point that it
-survives, so that two robots can share an evasion and none is stuck. What fails at the bound is tried at longer durations
-until one holds, and then shortened step by step from there.
+survives, so that two robots can share an evasion and none is stuck.
 
 The bound is that of each robot alone, and is not always to be had: two robots that change places, or one that comes head
-on to one without time to spare, take longer even with nobody else about (measured: nearly all paths above it).
+on to one without time to spare, take longer even with nobody else about (nearly all paths above the bound hold such a
+pair). So where the search fails at the bound, the pairs still in conflict are planned alone, among the robots that cannot
+move, for the least duration of each; all robots are then planned in the longest of these, and longer only if that fails.
 
 Complete in practice, not in theory. A robot that fixed robots part from its goal is `unreachable`, and that is proved
 (`kernels.is_parted`); one that the search gives up is `no-path`; one whose goal such a robot stands on is `deadlock`.
@@ -21,12 +22,8 @@ from survey_sim.motion import FloatArray, Legs, make_legs
 from survey_sim.routing import kernels
 from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 
-# Detours tried at each step of repair.
-N_SAMPLE = 12
-# Steps at one duration before another is tried.
-N_QUICK = 120
-# The same, before a robot is given up.
-N_PATIENT = 2000
+# Steps of the search (`kernels.Effort`); those at one duration, and as many before a robot is given up.
+N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, N_PATIENT = 12, 40, 60, 100, 2000
 
 
 def route_coordinated(
@@ -49,17 +46,17 @@ def _plan(
     plans = new_plans(problem, is_fixed)
     kernels.start_directly(phys, plans, separation, margin)
     if plans.n_conflict.any():
-        bound, steps = float(plans.alone.max()), settings.n_repair
+        bound = float(plans.robot["alone"].max())
         kept = new_plans(problem, is_fixed)
-        n_quick = N_QUICK
-        while not kernels.coordinate(phys, plans, kept, rng, bound, n_quick, steps, N_SAMPLE, separation, margin):
-            if n_quick < N_PATIENT:
-                n_quick = N_PATIENT
+        effort = kernels.Effort(N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, settings.n_repair)
+        while not kernels.coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
+            if effort.quick < N_PATIENT:
+                effort = effort._replace(quick=N_PATIENT)
                 continue
             robot = kernels.ground_worst(plans, separation, margin)
             reason[robot] = UnroutedReason.NO_PATH
             for other in _cascade(problem, plans):
-                kernels.ground(plans, other, kernels.new_shape(kernels.MAX_LEGS), separation, margin)
+                kernels.ground(plans, other, separation, margin)
                 reason[other] = UnroutedReason.DEADLOCK
     return legs_of(problem, plans), reason
 
@@ -109,28 +106,29 @@ def physics(problem: Problem) -> kernels.Physics:
     )
 
 
-def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], max_legs: int = kernels.MAX_LEGS) -> kernels.Plans:
+def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], plan_type: np.dtype = kernels.PLAN) -> kernels.Plans:
     """Plans in which nobody moves yet; goals of fixed robots are their starts."""
     goal: FloatArray = np.where(is_fixed[:, None], problem.start_mm, problem.goal_mm)
-    return kernels.new_plans(
-        problem.start_mm,
-        problem.start_theta_deg,
-        goal,
-        problem.plate.park_mm,
-        problem.plate.patrol_radius_mm,
-        ~is_fixed,
-        np.where(is_fixed, 0.0, problem.alone_s),
-        max_legs,
-    )
+    theta = np.radians(problem.start_theta_deg)
+    robots = np.zeros(problem.n_robot, kernels.ROBOT)
+    robots["sx"], robots["sy"] = problem.start_mm.T
+    robots["gx"], robots["gy"] = goal.T
+    robots["hx"], robots["hy"] = np.cos(theta), np.sin(theta)
+    robots["park_x"], robots["park_y"] = problem.plate.park_mm.T
+    robots["reach"] = problem.plate.patrol_radius_mm
+    robots["alone"] = np.where(is_fixed, 0.0, problem.alone_s)
+    robots["is_free"] = ~is_fixed
+    return kernels.stand_still(robots, np.zeros(problem.n_robot, plan_type))
 
 
 def _cascade(problem: Problem, plans: kernels.Plans) -> list[int]:
     """Robots whose goals are nearer than the separation to one that stays, and to those that stay for that."""
-    stays = ~plans.is_free
+    is_free = plans.robot["is_free"]
+    stays = ~is_free
     found: list[int] = []
     while True:
-        gap = np.hypot(*(plans.goal[plans.is_free][:, None] - plans.start[stays][None]).transpose(2, 0, 1))
-        joins = np.flatnonzero(plans.is_free)[(gap < problem.separation_mm).any(axis=1)]
+        gap = np.hypot(*(problem.goal_mm[is_free][:, None] - problem.start_mm[stays][None]).transpose(2, 0, 1))
+        joins = np.flatnonzero(is_free)[(gap < problem.separation_mm).any(axis=1)]
         joins = joins[~stays[joins]]
         if len(joins) == 0:
             return found
@@ -140,7 +138,8 @@ def _cascade(problem: Problem, plans: kernels.Plans) -> list[int]:
 
 def legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
     """Legs of plans."""
-    n_leg = plans.n_leg
+    plan = plans.plan
+    n_leg = plan["n_leg"]
     robot = np.repeat(np.arange(problem.n_robot), n_leg)
     leg = np.arange(len(robot)) - np.repeat(np.cumsum(n_leg) - n_leg, n_leg)
     return make_legs(
@@ -149,6 +148,6 @@ def legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
         problem.start_theta_deg,
         robot.astype(np.int32),
         kernels.leg_starts(physics(problem), plans)[robot, leg],
-        np.column_stack([plans.x[robot, leg], plans.y[robot, leg]]),
-        plans.turned[robot, leg],
+        np.column_stack([plan["x"][robot, leg], plan["y"][robot, leg]]),
+        plan["turned"][robot, leg] != 0,
     )

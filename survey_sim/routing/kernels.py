@@ -3,7 +3,7 @@ another file.
 """
 
 # Kernels take flat arrays and untyped scalars, and are long where splitting them would cost calls.
-# ruff: noqa: PLR0912, PLW3301
+# ruff: noqa: PLR0912, PLR0915, PLW3301
 # mypy: disable-error-code="no-untyped-def"
 from heapq import heappop, heappush
 from typing import NamedTuple
@@ -161,8 +161,9 @@ def is_parted(sx, sy, gx, gy, fixed, r, park_x, park_y, reach, plate_radius):
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# Shapes: where a robot is, straight between knots, with time counted from the start of its first leg. It stands at its
-# first knot before it and at its last knot after it.
+# Plans: where a robot goes and when, straight between knots. It stands at its first knot before it and at its last knot
+# after it. Robots and plans are records: kernels that pass them by pointer run ten times as fast as with a tuple of arrays,
+# whose references are counted at every call. A record must not outlive its array, so arrays are made by the callers.
 
 # Legs of a coordinated plan, and of one found step by step on a lattice.
 MAX_LEGS = 6
@@ -181,85 +182,100 @@ class Physics(NamedTuple):
     plate_radius: float
 
 
-class Shape(NamedTuple):
-    """A plan being tried: way points, and the knots they give.
+# A robot's task: start and goal, its own x axis at the start (hx, hy), its patrol disc, its time alone, s.
+ROBOT = np.dtype(
+    [(name, np.float64) for name in ("sx", "sy", "gx", "gy", "hx", "hy", "park_x", "park_y", "reach", "alone")]
+    + [("is_free", np.bool_)],
+    align=True,
+)
 
-    Leg m starts while the robot stands between knots leave[m] and leave[m] + 1; leave[0] is -1, the rest before it all.
+
+def plan_type(max_legs: int) -> np.dtype:
+    """Records of plans of up to so many legs.
+
+    Way points (x, y), whether the robot turns onto the line to them, and how long it waits before; the knots that they
+    give (kt, kx, ky) and their bounding box (least and greatest x, then y). Leg m starts while the robot stands between
+    knots leave[m] and leave[m] + 1; leave[0] is -1, the rest before it all.
     """
-
-    x: np.ndarray
-    y: np.ndarray
-    turned: np.ndarray
-    wait: np.ndarray
-    leave: np.ndarray
-    kt: np.ndarray
-    kx: np.ndarray
-    ky: np.ndarray
-
-
-@njit(cache=True)
-def new_shape(max_legs):
-    """An empty shape, to be written over and over."""
-    max_knots = 5 * max_legs + 1
-    return Shape(
-        np.zeros(max_legs),
-        np.zeros(max_legs),
-        np.zeros(max_legs, dtype=np.bool_),
-        np.zeros(max_legs),
-        np.zeros(max_legs, dtype=np.int64),
-        np.zeros(max_knots),
-        np.zeros(max_knots),
-        np.zeros(max_knots),
+    n_knot = 3 * max_legs + 3
+    per_leg = [("x", np.float64), ("y", np.float64), ("turned", np.int8), ("wait", np.float64), ("leave", np.int64)]
+    knots = [(name, np.float64, (n_knot,)) for name in ("kt", "kx", "ky")]
+    return np.dtype(
+        [("n_leg", np.int64), ("n_knot", np.int64), ("box", np.float64, (4,))]
+        + [(name, kind, (max_legs,)) for name, kind in per_leg]
+        + knots,
+        align=True,
     )
 
 
-@njit(cache=True)
-def turn_deg(theta, ex, ey):
-    """Least turn of an axis onto the line along (ex, ey), deg (motion.turn_onto_line)."""
-    return np.mod(np.degrees(np.arctan2(ey, ex)) - theta + 45.0, 90.0) - 45.0
+PLAN = plan_type(MAX_LEGS)
+LATTICE_PLAN = plan_type(MAX_LATTICE_LEGS)
 
 
 @njit(cache=True)
-def leg_time(phys, theta, ex, ey, turned, is_last):
-    """Seconds of one leg, and theta after it."""
-    length = np.hypot(ex, ey)
-    turn = turn_deg(theta, ex, ey)
-    turn_s = 0.0
-    if turned:
-        turn_s = abs(turn) / phys.rotation
-        theta += turn
-    else:
-        length *= np.cos(np.radians(abs(turn))) + np.sin(np.radians(abs(turn)))
-    slow = min(phys.approach, length) if is_last else 0.0
-    return turn_s + (length - slow) / phys.coarse + slow / phys.precise, theta
+def leg_options(phys, hx, hy, ex, ey, is_last):
+    """Seconds of one leg along (ex, ey), turned and not turned, for a robot whose own x axis lies along (hx, hy)."""
+    along, across = abs(hx * ex + hy * ey), abs(hx * ey - hy * ex)
+    straight, square = np.sqrt(ex * ex + ey * ey), along + across
+    turn_s = np.degrees(np.arctan2(min(along, across), max(along, across))) / phys.rotation
+    turned_s, square_s = turn_s + straight / phys.coarse, square / phys.coarse
+    if is_last:
+        late = 1.0 / phys.precise - 1.0 / phys.coarse
+        turned_s += min(phys.approach, straight) * late
+        square_s += min(phys.approach, square) * late
+    return turned_s, square_s
 
 
 @njit(cache=True)
-def build_knots(phys, shape, n_leg, x0, y0, theta, reach_x, reach_y, reach):
-    """Knots of a shape's way points from (x0, y0); returns (n_knot, end time), n_knot 0 if a corner leaves the patrol."""
-    kt, kx, ky = shape.kt, shape.kx, shape.ky
-    kx[0], ky[0] = x0, y0
+def turned_heading(hx, hy, ex, ey):
+    """Where the own x axis of a robot points once that or its own y axis lies along (ex, ey), by the least turn.
+
+    Between two axes it is the one that motion.turn_onto_line takes.
+    """
+    along, across = hx * ex + hy * ey, hx * ey - hy * ex
+    length = np.sqrt(ex * ex + ey * ey)
+    if abs(along) > abs(across) or (abs(along) == abs(across) and along * across < 0.0):
+        length = np.copysign(length, along)
+        return ex / length, ey / length
+    length = np.copysign(length, across)
+    return ey / length, -ex / length
+
+
+@njit(cache=True)
+def build_knots(phys, robot, plan, n_leg):
+    """Knots of a plan's way points; returns the time at the end, infinite if a corner leaves the patrol."""
+    return _build_knots(phys, robot, plan, n_leg, robot.sx, robot.sy)
+
+
+@njit(cache=True)
+def _build_knots(phys, robot, plan, n_leg, x0, y0):
+    """The same from (x0, y0), with the heading that the robot has at its start."""
+    kt, kx, ky = plan.kt, plan.kx, plan.ky
+    hx, hy = robot.hx, robot.hy
+    kt[0], kx[0], ky[0] = 0.0, x0, y0
+    plan.leave[0] = -1
     n, t = 1, 0.0
     for m in range(n_leg):
-        x1, y1 = shape.x[m], shape.y[m]
+        x1, y1 = plan.x[m], plan.y[m]
         ex, ey = x1 - x0, y1 - y0
-        t += shape.wait[m]
-        if shape.turned[m]:
-            turn = turn_deg(theta, ex, ey)
-            theta += turn
-            t += abs(turn) / phys.rotation
-            cx, cy, a, b = x1, y1, np.hypot(ex, ey), 0.0
+        t += plan.wait[m]
+        along, across = hx * ex + hy * ey, hx * ey - hy * ex
+        if plan.turned[m]:
+            least, most = min(abs(along), abs(across)), max(abs(along), abs(across))
+            # Which axis lies on the line, and so the corners of later legs, would hang on rounding.
+            if most - least < 1e-9 * most and m < n_leg - 1:
+                return np.inf
+            t += np.degrees(np.arctan2(least, most)) / phys.rotation
+            hx, hy = turned_heading(hx, hy, ex, ey)
+            cx, cy, a, b = x1, y1, np.sqrt(ex * ex + ey * ey), 0.0
         else:
-            c, s = np.cos(np.radians(theta)), np.sin(np.radians(theta))
-            along = c * ex + s * ey
-            cx, cy, a, b = x0 + c * along, y0 + s * along, abs(along), abs(c * ey - s * ex)
-            if not is_inside(phys, cx, cy, reach_x, reach_y, reach):
-                return 0, 0.0
+            cx, cy, a, b = x0 + hx * along, y0 + hy * along, abs(along), abs(across)
+            if not is_inside(phys, robot, cx, cy):
+                return np.inf
         if m == 0:
             kt[0] = t
-            shape.leave[0] = -1
         else:
-            shape.leave[m] = n - 1
+            plan.leave[m] = n - 1
             kt[n], kx[n], ky[n] = t, x0, y0
             n += 1
         slow_from = a + b - (min(phys.approach, a + b) if m == n_leg - 1 else 0.0)
@@ -285,15 +301,30 @@ def build_knots(phys, shape, n_leg, x0, y0, theta, reach_x, reach_y, reach):
             kt[n], kx[n], ky[n] = t, x1, y1
             n += 1
         x0, y0 = x1, y1
-    return n, t
+    plan.n_leg, plan.n_knot = n_leg, n
+    box = plan.box
+    box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
+    for k in range(n):
+        box[0], box[1] = min(box[0], kx[k]), max(box[1], kx[k])
+        box[2], box[3] = min(box[2], ky[k]), max(box[3], ky[k])
+    return t
 
 
 @njit(cache=True)
-def is_inside(phys, x, y, reach_x, reach_y, reach):
-    """Whether a centre at (x, y) is on the plate and in the patrol disc."""
+def delay_from(plan, leg, delay):
+    """The plan is late by `delay` from one of its legs on."""
+    if delay > 0.0 and plan.n_leg > 0:
+        plan.wait[leg] += delay
+        for k in range(plan.leave[leg] + 1, plan.n_knot):
+            plan.kt[k] += delay
+
+
+@njit(cache=True)
+def is_inside(phys, robot, x, y):
+    """Whether a centre at (x, y) is on the plate and in the robot's patrol disc."""
     tolerance = 1e-7
-    plate, patrol = phys.plate_radius + tolerance, reach + tolerance
-    return x * x + y * y <= plate * plate and (x - reach_x) ** 2 + (y - reach_y) ** 2 <= patrol * patrol
+    plate, patrol = phys.plate_radius + tolerance, robot.reach + tolerance
+    return x * x + y * y <= plate * plate and (x - robot.park_x) ** 2 + (y - robot.park_y) ** 2 <= patrol * patrol
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -457,14 +488,23 @@ def _insert_interval(lo, hi, n, d0, d1):
 
 # ---------------------------------------------------------------------------------------------------------------------
 # Coordinated routing: every robot has one plan (way points, waits, a start delay); pairs that come too near are conflicts;
-# robots in conflict are planned again, one at a time, for the least weight of conflicts.
+# robots in conflict are planned again, one at a time, for the least weight of conflicts. Two that have no plan within some
+# duration even alone are in conflict whatever the others do: they say how much longer it takes.
 
-# First stride above the bound, as a share of it; each is twice the one before, up to this many times the bound.
-FIRST_STRIDE_FRAC = 0.05
+MAX_PAIRS = 64
+# Longer durations of a pair: the first by this share of the bound, then twice as much; found to within the second share.
+FIRST_PAIR_FRAC = 0.01
+PAIR_FRAC = 0.002
+# First stride above what the pairs need, as a share of it; each is twice the one before, up to this many times the bound.
+FIRST_STRIDE_FRAC = 0.003
 MOST_STRIDES = 6.0
+# Shares are of the bound, or of this if it is longer: a field of short hops may need long detours.
+SHORT_S = 10.0
 # Back down: by this share of the way to the longest duration that failed, but at least by this share of the bound.
 DESCENT_FRAC = 0.4
 CLOSE_FRAC = 0.003
+# Trials to find a detour that is short enough.
+N_TRIAL = 8
 # What a conflict's weight gains at each low point that it survives.
 WEIGHT_GAIN = 0.3
 MAX_INTERVALS = 12
@@ -476,71 +516,46 @@ TOUCH_MM = 1e-8
 
 
 class Plans(NamedTuple):
-    """The problem, and the plan of every robot with the conflicts between them."""
+    """The tasks of all robots (ROBOT), the plan of each, and the conflicts between plans with the weights of pairs."""
 
-    start: np.ndarray
-    theta: np.ndarray
-    goal: np.ndarray
-    park: np.ndarray
-    reach: np.ndarray
-    is_free: np.ndarray
-    alone: np.ndarray
-    n_leg: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    turned: np.ndarray
-    wait: np.ndarray
-    n_knot: np.ndarray
-    kt: np.ndarray
-    kx: np.ndarray
-    ky: np.ndarray
-    box: np.ndarray
+    robot: np.ndarray
+    plan: np.ndarray
     conflict: np.ndarray
     n_conflict: np.ndarray
     weight: np.ndarray
 
 
 @njit(cache=True)
-def new_plans(start, theta, goal, park, reach, is_free, alone, max_legs):
-    """Plans in which nobody moves yet."""
-    n, max_knots = len(start), 5 * max_legs + 1
-    plans = Plans(
-        start,
-        theta,
-        goal,
-        park,
-        reach,
-        is_free,
-        alone,
-        np.zeros(n, dtype=np.int64),
-        np.zeros((n, max_legs)),
-        np.zeros((n, max_legs)),
-        np.zeros((n, max_legs), dtype=np.bool_),
-        np.zeros((n, max_legs)),
-        np.ones(n, dtype=np.int64),
-        np.zeros((n, max_knots)),
-        np.zeros((n, max_knots)),
-        np.zeros((n, max_knots)),
-        np.zeros((n, 4)),
+def stand_still(robots, plans):
+    """Plans in which nobody moves."""
+    n = len(robots)
+    for i in range(n):
+        stay(robots[i], plans[i])
+    return Plans(
+        robots,
+        plans,
         np.zeros((n, n), dtype=np.bool_),
         np.zeros(n, dtype=np.int64),
         np.ones((n, n), dtype=np.float32),
     )
-    plans.kx[:, 0] = start[:, 0]
-    plans.ky[:, 0] = start[:, 1]
-    for i in range(n):
-        plans.box[i, 0] = plans.box[i, 1] = start[i, 0]
-        plans.box[i, 2] = plans.box[i, 3] = start[i, 1]
-    return plans
 
 
 @njit(cache=True)
-def pair_radius(plans, i, j, separation, margin):
+def stay(robot, plan):
+    """A plan without legs."""
+    plan.n_leg, plan.n_knot, plan.leave[0] = 0, 1, -1
+    plan.kt[0], plan.kx[0], plan.ky[0] = 0.0, robot.sx, robot.sy
+    plan.box[0] = plan.box[1] = robot.sx
+    plan.box[2] = plan.box[3] = robot.sy
+
+
+@njit(cache=True)
+def pair_radius(one, other, separation, margin):
     """Separation to plan for a pair: with the margin, as far as their starts and goals allow."""
     if margin == 0.0:
         return separation
-    starts = np.hypot(plans.start[i, 0] - plans.start[j, 0], plans.start[i, 1] - plans.start[j, 1])
-    goals = np.hypot(plans.goal[i, 0] - plans.goal[j, 0], plans.goal[i, 1] - plans.goal[j, 1])
+    starts = np.hypot(one.sx - other.sx, one.sy - other.sy)
+    goals = np.hypot(one.gx - other.gx, one.gy - other.gy)
     return max(separation, min(separation + margin, min(starts, goals)))
 
 
@@ -573,21 +588,24 @@ def closest2(ti, xi, yi, ni, tj, xj, yj, nj, enough2):
 
 
 @njit(cache=True)
-def is_near(plans, i, j, r):
+def is_near(one, other, r):
     """Whether two plans come nearer than r."""
     r2 = (r - TOUCH_MM) ** 2
-    least2 = closest2(
-        plans.kt[i], plans.kx[i], plans.ky[i], plans.n_knot[i],
-        plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], r2,
-    )  # fmt: skip
+    least2 = closest2(one.kt, one.kx, one.ky, one.n_knot, other.kt, other.kx, other.ky, other.n_knot, r2)
     return least2 < r2
 
 
 @njit(cache=True)
-def conflict_score(plans, i, j, t, x, y, n, r):
-    """Weight of a conflict of robot i, on this trajectory, with j: half of it however slight, all of it if they meet."""
-    depth = 1.0 - np.sqrt(closest2(t, x, y, n, plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], 0.0)) / r
-    return (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED) * (0.5 + 0.5 * max(0.0, depth))
+def conflict_score(weight, t, x, y, n, other, r):
+    """Score of a conflict of this trajectory with another plan: half its weight however slight, all of it if they meet."""
+    depth = 1.0 - np.sqrt(closest2(t, x, y, n, other.kt, other.kx, other.ky, other.n_knot, 0.0)) / r
+    return weight * (0.5 + 0.5 * max(0.0, depth))
+
+
+@njit(cache=True)
+def pair_weight(robots, weight, j):
+    """Weight of a conflict with robot j, of a row of weights."""
+    return weight[j] if robots[j].is_free else WEIGHT_FIXED
 
 
 @njit(cache=True)
@@ -603,80 +621,58 @@ def _coordinate(t, z, k, last, when):
 
 
 @njit(cache=True)
-def set_plan(plans, i, shape, n_leg, n_knot, late_leg, delay, separation, margin):
-    """Give robot i the shape, late by `delay` from leg `late_leg` on, and find its conflicts."""
-    plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
-    for m in range(n_leg):
-        plans.x[i, m], plans.y[i, m] = shape.x[m], shape.y[m]
-        plans.turned[i, m] = shape.turned[m]
-        plans.wait[i, m] = shape.wait[m] + (delay if m == late_leg else 0.0)
-    box = plans.box[i]
-    box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
-    for k in range(n_knot):
-        x, y = shape.kx[k], shape.ky[k]
-        late = delay if k > shape.leave[late_leg] else 0.0
-        plans.kt[i, k], plans.kx[i, k], plans.ky[i, k] = shape.kt[k] + late, x, y
-        box[0], box[1], box[2], box[3] = min(box[0], x), max(box[1], x), min(box[2], y), max(box[3], y)
-    find_conflicts(plans, i, len(plans.start), separation, margin)
+def set_plan(plans, i, plan, separation, margin):
+    """Give robot i this plan, and find its conflicts."""
+    plans.plan[i] = plan
+    find_conflicts(plans.robot, plans.plan, plans.conflict, plans.n_conflict, i, len(plans.plan), separation, margin)
 
 
 @njit(cache=True)
-def find_conflicts(plans, i, n, separation, margin):
+def find_conflicts(robots, plan, conflict, n_conflict, i, n, separation, margin):
     """Conflicts of robot i with the robots before n."""
     widest = separation + margin
-    x0, x1 = plans.box[i, 0] - widest, plans.box[i, 1] + widest
-    y0, y1 = plans.box[i, 2] - widest, plans.box[i, 3] + widest
-    box, conflict = plans.box, plans.conflict[i]
+    own, me = plan[i], robots[i]
+    x0, x1 = own.box[0] - widest, own.box[1] + widest
+    y0, y1 = own.box[2] - widest, own.box[3] + widest
     for j in range(n):
+        other = plan[j]
         now = False
-        if box[j, 0] <= x1 and box[j, 1] >= x0 and box[j, 2] <= y1 and box[j, 3] >= y0 and j != i:
-            now = is_near(plans, i, j, pair_radius(plans, i, j, separation, margin))
-        if now != conflict[j]:
-            plans.conflict[i, j] = plans.conflict[j, i] = now
+        if other.box[0] <= x1 and other.box[1] >= x0 and other.box[2] <= y1 and other.box[3] >= y0 and j != i:
+            now = is_near(own, other, pair_radius(me, robots[j], separation, margin))
+        if now != conflict[i, j]:
+            conflict[i, j] = conflict[j, i] = now
             step = 1 if now else -1
-            plans.n_conflict[i] += step
-            plans.n_conflict[j] += step
+            n_conflict[i] += step
+            n_conflict[j] += step
 
 
-class Events(NamedTuple):
-    """Forbidden intervals of one shape against everybody, and room for those of one pair; whom the robot may meet at all."""
-
-    near: np.ndarray
-    lo: np.ndarray
-    hi: np.ndarray
-    robot: np.ndarray
-    pair_lo: np.ndarray
-    pair_hi: np.ndarray
-    late_t: np.ndarray
-
-
-@njit(cache=True)
-def new_events(n_robot, max_legs):
-    """Room for the intervals of one shape."""
-    return Events(
-        np.empty(n_robot, dtype=np.int64),
-        np.empty(MAX_EVENTS),
-        np.empty(MAX_EVENTS),
-        np.empty(MAX_EVENTS, dtype=np.int64),
-        np.empty(MAX_INTERVALS),
-        np.empty(MAX_INTERVALS),
-        np.empty(5 * max_legs + 1),
-    )
+# Room for the forbidden intervals of one plan against everybody (lo, hi, robot), for those of one pair, and for knot times.
+ROOM = np.dtype(
+    [
+        ("lo", np.float64, (MAX_EVENTS,)),
+        ("hi", np.float64, (MAX_EVENTS,)),
+        ("robot", np.int64, (MAX_EVENTS,)),
+        ("pair_lo", np.float64, (MAX_INTERVALS,)),
+        ("pair_hi", np.float64, (MAX_INTERVALS,)),
+        ("late_t", np.float64, (3 * MAX_LATTICE_LEGS + 3,)),
+    ],
+    align=True,
+)
 
 
 @njit(cache=True)
-def find_near(phys, plans, i, duration, separation, margin, near):
+def find_near(phys, robots, plan, conflict, i, duration, separation, margin, near):
     """Robots that robot i may meet on any way that takes it no longer than `duration`; those in conflict with it first."""
     far = 0.5 * duration * phys.coarse + separation + margin
-    x, y = 0.5 * (plans.start[i, 0] + plans.goal[i, 0]), 0.5 * (plans.start[i, 1] + plans.goal[i, 1])
+    me = robots[i]
+    x, y = 0.5 * (me.sx + me.gx), 0.5 * (me.sy + me.gy)
     n_near, n_conflict = 0, 0
-    for j in range(len(plans.start)):
-        if j == i or plans.box[j, 0] > x + far or plans.box[j, 1] < x - far:
-            continue
-        if plans.box[j, 2] > y + far or plans.box[j, 3] < y - far:
+    for j in range(len(robots)):
+        box = plan[j].box
+        if j == i or box[0] > x + far or box[1] < x - far or box[2] > y + far or box[3] < y - far:
             continue
         near[n_near] = j
-        if plans.conflict[i, j]:
+        if conflict[i, j]:
             near[n_near], near[n_conflict] = near[n_conflict], j
             n_conflict += 1
         n_near += 1
@@ -684,35 +680,40 @@ def find_near(phys, plans, i, duration, separation, margin, near):
 
 
 @njit(cache=True)
-def best_delay(plans, rng, i, n_near, shape, n_knot, late_leg, delay_max, separation, margin, limit, events):
+def best_delay(robots, plan, weight, rng, me, near, shape, late_leg, delay_max, separation, margin, limit, room):
     """Least score of conflicts over delays of a shape from one leg on, and the delay that has it; inf if not below `limit`.
 
     Zero is found wherever it is: conflicts end only at the ends of forbidden intervals. Otherwise these, the extremes and
     one delay at random are scored.
+
+    Parameters
+    ----------
+    weight
+        (n,) weights of robot `me` with each other.
+    near
+        Robots that it may meet.
     """
-    x0, x1 = shape.kx[:n_knot].min(), shape.kx[:n_knot].max()
-    y0, y1 = shape.ky[:n_knot].min(), shape.ky[:n_knot].max()
-    n_event = 0
+    n_event, n_knot, box = 0, shape.n_knot, shape.box
+    leave = shape.leave[late_leg]
     always = 0.0
-    r_all = separation + margin
-    for k in range(n_near):
-        j = events.near[k]
-        r = r_all
-        if plans.box[j, 0] > x1 + r or plans.box[j, 1] < x0 - r or plans.box[j, 2] > y1 + r or plans.box[j, 3] < y0 - r:
+    r = separation + margin
+    x0, x1, y0, y1 = box[0] - r, box[1] + r, box[2] - r, box[3] + r
+    for k in range(len(near)):
+        j = near[k]
+        other = plan[j]
+        if other.box[0] > x1 or other.box[1] < x0 or other.box[2] > y1 or other.box[3] < y0:
             continue
-        r = pair_radius(plans, i, j, separation, margin)
         m = forbidden_delays(
-            shape.kt, shape.kx, shape.ky, n_knot, shape.leave[late_leg],
-            plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j], plans.box[j],
-            r, delay_max, events.pair_lo, events.pair_hi,
+            shape.kt, shape.kx, shape.ky, n_knot, leave, other.kt, other.kx, other.ky, other.n_knot, other.box,
+            pair_radius(me, robots[j], separation, margin), delay_max, room.pair_lo, room.pair_hi,
         )  # fmt: skip
         for p in range(m):
-            if events.pair_lo[p] < 0.0 and events.pair_hi[p] > delay_max:
-                always += 0.5 * (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED)
+            if room.pair_lo[p] < 0.0 and room.pair_hi[p] > delay_max:
+                always += 0.5 * pair_weight(robots, weight, j)
                 if always >= limit:
                     return np.inf, 0.0
             if n_event < MAX_EVENTS:
-                events.lo[n_event], events.hi[n_event], events.robot[n_event] = events.pair_lo[p], events.pair_hi[p], j
+                room.lo[n_event], room.hi[n_event], room.robot[n_event] = room.pair_lo[p], room.pair_hi[p], j
                 n_event += 1
     least, best = limit, -1.0
     for c in range(-3 if always > 0.0 else -1, n_event):
@@ -723,25 +724,25 @@ def best_delay(plans, rng, i, n_near, shape, n_knot, late_leg, delay_max, separa
         elif c == -3:
             delay = delay_max * rng.random()
         else:
-            delay = events.hi[c]
+            delay = room.hi[c]
         if delay > delay_max:
             continue
         total = 0.0
         for k in range(n_event):
-            if _is_forbidden(events, k, delay):
-                j = events.robot[k]
-                total += 0.5 * (plans.weight[i, j] if plans.is_free[j] else WEIGHT_FIXED)
+            if _is_forbidden(room, k, delay):
+                total += 0.5 * pair_weight(robots, weight, room.robot[k])
         if total >= least:
             continue
         if total > 0.0:
             total = 0.0
             for k in range(n_knot):
-                events.late_t[k] = shape.kt[k] + (delay if k > shape.leave[late_leg] else 0.0)
+                room.late_t[k] = shape.kt[k] + (delay if k > leave else 0.0)
             for k in range(n_event):
-                if _is_forbidden(events, k, delay):
-                    j = events.robot[k]
-                    r = pair_radius(plans, i, j, separation, margin)
-                    total += conflict_score(plans, i, j, events.late_t, shape.kx, shape.ky, n_knot, r)
+                if _is_forbidden(room, k, delay):
+                    j = room.robot[k]
+                    wide = pair_radius(me, robots[j], separation, margin)
+                    heavy = pair_weight(robots, weight, j)
+                    total += conflict_score(heavy, room.late_t, shape.kx, shape.ky, n_knot, plan[j], wide)
         if total < least or (total == least and delay < best):
             least, best = total, delay
     if best < 0.0:
@@ -750,252 +751,310 @@ def best_delay(plans, rng, i, n_near, shape, n_knot, late_leg, delay_max, separa
 
 
 @njit(cache=True)
-def _is_forbidden(events, k, delay):
+def _is_forbidden(room, k, delay):
     """Whether interval k holds the delay; at 0 an interval that starts there counts too."""
-    lo = events.lo[k]
-    return (lo < delay - 1e-12 or lo <= 0.0) and delay + 1e-12 < events.hi[k]
+    lo = room.lo[k]
+    return (lo < delay - 1e-12 or lo <= 0.0) and delay + 1e-12 < room.hi[k]
 
 
 @njit(cache=True)
-def direct_shape(phys, plans, i, option, shape):
-    """Way points of a plan without detour: 0 turned, 1 x then y, 2 y then x; returns (n_leg, n_knot, time)."""
-    x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
+def direct_shape(phys, robot, option, shape):
+    """A plan without detour: 0 turned, 1 x then y, 2 y then x; returns its time, infinite if it cannot be."""
+    if robot.sx == robot.gx and robot.sy == robot.gy:
+        stay(robot, shape)
+        return 0.0
     n_leg = 1
-    shape.leave[0] = -1
-    if x0 == x1 and y0 == y1:
-        shape.kt[0], shape.kx[0], shape.ky[0] = 0.0, x0, y0
-        return 0, 1, 0.0
-    shape.x[0], shape.y[0], shape.turned[0], shape.wait[0] = x1, y1, option == 0, 0.0
+    shape.x[0], shape.y[0], shape.turned[0], shape.wait[0] = robot.gx, robot.gy, option == 0, 0.0
     if option == 2:
-        c, s = np.cos(np.radians(plans.theta[i])), np.sin(np.radians(plans.theta[i]))
-        across = c * (y1 - y0) - s * (x1 - x0)
-        along = c * (x1 - x0) + s * (y1 - y0)
+        ex, ey = robot.gx - robot.sx, robot.gy - robot.sy
+        across, along = robot.hx * ey - robot.hy * ex, robot.hx * ex + robot.hy * ey
         if min(abs(across), abs(along)) < phys.approach:
-            return 0, 0, 0.0
-        shape.x[0], shape.y[0] = x0 - s * across, y0 + c * across
-        shape.x[1], shape.y[1], shape.turned[1], shape.wait[1] = x1, y1, False, 0.0
+            return np.inf
+        shape.x[0], shape.y[0] = robot.sx - robot.hy * across, robot.sy + robot.hx * across
+        shape.x[1], shape.y[1], shape.turned[1], shape.wait[1] = robot.gx, robot.gy, False, 0.0
         n_leg = 2
-        if not is_inside(phys, shape.x[0], shape.y[0], plans.park[i, 0], plans.park[i, 1], plans.reach[i]):
-            return 0, 0, 0.0
-    n_knot, t = build_knots(phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i])
-    return n_leg, n_knot, t
+        if not is_inside(phys, robot, shape.x[0], shape.y[0]):
+            return np.inf
+    return build_knots(phys, robot, shape, n_leg)
 
 
 @njit(cache=True)
-def _pick_partner(plans, rng, i):
-    """One of the robots in conflict with i, or -1."""
+def _pick_partner(rng, conflict):
+    """One of the robots in conflict, of a row, or -1."""
     partner, n_seen = -1, 0
-    if plans.n_conflict[i] > 0:
-        for j in range(len(plans.start)):
-            if plans.conflict[i, j]:
-                n_seen += 1
-                if rng.random() * n_seen < 1.0:
-                    partner = j
+    for j in range(len(conflict)):
+        if conflict[j]:
+            n_seen += 1
+            if rng.random() * n_seen < 1.0:
+                partner = j
     return partner
 
 
 @njit(cache=True)
-def _clear_of(plans, rng, i, j, separation):
-    """A point just clear of robot j: beside the line of its plan, or around a place where it stands."""
-    k = int(rng.random() * plans.n_knot[j])
-    x, y = plans.kx[j, k], plans.ky[j, k]
+def _clear_of(rng, robot, other, separation):
+    """A point just clear of another plan: beside its line, or around a place where it stands."""
+    k = int(rng.random() * other.n_knot)
+    x, y = other.kx[k], other.ky[k]
     far = separation * (1.0 + 0.3 * rng.random() ** 2)
-    last = plans.n_knot[j] - 1
+    last = other.n_knot - 1
     if last == 0 or rng.random() < 0.3:
         angle = 2.0 * np.pi * rng.random()
         return x + far * np.cos(angle), y + far * np.sin(angle)
     k = int(rng.random() * last)
-    x, y = plans.kx[j, k], plans.ky[j, k]
-    ex, ey = plans.kx[j, k + 1] - x, plans.ky[j, k + 1] - y
-    length = np.hypot(ex, ey)
+    x, y = other.kx[k], other.ky[k]
+    ex, ey = other.kx[k + 1] - x, other.ky[k + 1] - y
+    length = np.sqrt(ex * ex + ey * ey)
     if length == 0.0:
         return x + far, y
     side = far / length if rng.random() < 0.5 else -far / length
-    # Beside the start or the goal of i, or anywhere along the line.
+    # Beside the robot's start or its goal, or anywhere along the line.
     f = rng.random()
     if f < 0.7:
-        px, py = plans.start[i, 0], plans.start[i, 1]
+        px, py = robot.sx, robot.sy
         if f < 0.3:
-            px, py = plans.goal[i, 0], plans.goal[i, 1]
+            px, py = robot.gx, robot.gy
         f = ((px - x) * ex + (py - y) * ey) / (length * length) + 0.3 * (rng.random() - 0.5)
     return x + f * ex - side * ey, y + f * ey + side * ex
 
 
 @njit(cache=True)
-def sample_shape(phys, plans, rng, i, partner, duration, separation, shape):
-    """A random detour of one to three way points, or the present one varied.
-
-    Returns (n_leg, n_knot, time, leg to be delayed); n_knot is 0 if the detour cannot be.
-    """
-    x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
-    ex, ey = x1 - x0, y1 - y0
-    length = np.hypot(ex, ey)
-    spare = max(0.0, (duration - plans.alone[i]) * phys.coarse)
-    aside = min(25.0, np.sqrt((length + spare) ** 2 - length * length) / 2)
-    share = rng.random()
-    n_via = 1 if share < 0.75 else (2 if share < 0.93 else 3)
-    is_varied = plans.n_leg[i] > 1 and rng.random() < 0.4
+def _sample_ways(phys, robot, own, partner, has_partner, rng, aside, separation, shape):
+    """Random way points of one to three, or the present ones varied; returns their number, 0 if one is out of reach."""
+    ex, ey = robot.gx - robot.sx, robot.gy - robot.sy
+    length = np.sqrt(ex * ex + ey * ey)
+    scatter = 0.0
+    is_varied = own.n_leg > 1 and rng.random() < 0.4
     if is_varied:
-        n_via = plans.n_leg[i] - 1
+        n_via = own.n_leg - 1
         scatter = 5.0 * rng.random() ** 3
+    else:
+        share = rng.random()
+        n_via = 1 if share < 0.75 else (2 if share < 0.93 else 3)
     for m in range(n_via):
         if is_varied:
-            # The present way points, a little off.
-            x, y = plans.x[i, m] + scatter * (2.0 * rng.random() - 1.0), plans.y[i, m] + scatter * (2.0 * rng.random() - 1.0)
-            if not is_inside(phys, x, y, plans.park[i, 0], plans.park[i, 1], plans.reach[i]):
-                return 0, 0, 0.0, 0
-            shape.x[m], shape.y[m] = x, y
-            continue
-        kind = rng.random()
-        if kind < 0.4 and partner >= 0:
-            x, y = _clear_of(plans, rng, i, partner, separation)
-        elif kind < 0.6 or length == 0.0:
-            angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
-            at_start = rng.random() * n_via > m
-            x, y = (x0 if at_start else x1) + far * np.cos(angle), (y0 if at_start else y1) + far * np.sin(angle)
+            x, y = own.x[m] + scatter * (2.0 * rng.random() - 1.0), own.y[m] + scatter * (2.0 * rng.random() - 1.0)
         else:
-            f, h = (m + rng.random()) / n_via, aside * (2.0 * rng.random() - 1.0) / length
-            x, y = x0 + f * ex - h * ey, y0 + f * ey + h * ex
-        if not is_inside(phys, x, y, plans.park[i, 0], plans.park[i, 1], plans.reach[i]):
-            return 0, 0, 0.0, 0
+            kind = rng.random()
+            if kind < 0.4 and has_partner:
+                x, y = _clear_of(rng, robot, partner, separation)
+            elif kind < 0.6 or length == 0.0:
+                angle, far = 2.0 * np.pi * rng.random(), aside * rng.random()
+                x, y = far * np.cos(angle), far * np.sin(angle)
+                if rng.random() * n_via > m:
+                    x, y = robot.sx + x, robot.sy + y
+                else:
+                    x, y = robot.gx + x, robot.gy + y
+            else:
+                f, h = (m + rng.random()) / n_via, aside * (2.0 * rng.random() - 1.0) / length
+                x, y = robot.sx + f * ex - h * ey, robot.sy + f * ey + h * ex
+        if not is_inside(phys, robot, x, y):
+            return 0
         shape.x[m], shape.y[m] = x, y
-    shape.x[n_via], shape.y[n_via] = x1, y1
+    return n_via
+
+
+@njit(cache=True)
+def sample_shape(phys, robot, own, partner, has_partner, rng, duration, separation, shape):
+    """A random detour of one to three way points, or the present one varied, that takes no longer than `duration`.
+
+    Returns its time, infinite if none is found in a few trials, and the leg to be delayed.
+    """
+    length = np.hypot(robot.gx - robot.sx, robot.gy - robot.sy)
+    spare = max(0.0, (duration - robot.alone) * phys.coarse)
+    aside = min(25.0, np.sqrt((length + spare) ** 2 - length * length) / 2)
+    n_via, total = 0, np.inf
+    for _ in range(N_TRIAL):
+        n_via = _sample_ways(phys, robot, own, partner, has_partner, rng, aside, separation, shape)
+        if n_via == 0:
+            continue
+        shape.x[n_via], shape.y[n_via] = robot.gx, robot.gy
+        total = _choose_turns(phys, robot, rng, n_via + 1, duration, shape)
+        if total <= duration:
+            break
+    if n_via == 0 or total > duration:
+        return np.inf, 0
     n_leg = n_via + 1
-    theta, total, px, py = plans.theta[i], 0.0, x0, y0
-    for m in range(n_leg):
-        ex, ey = shape.x[m] - px, shape.y[m] - py
-        turned_s, turned_theta = leg_time(phys, theta, ex, ey, True, m == n_leg - 1)
-        square_s, _ = leg_time(phys, theta, ex, ey, False, m == n_leg - 1)
-        shape.turned[m] = (turned_s < square_s) != (rng.random() < 0.15)
-        if shape.turned[m]:
-            theta = turned_theta
-        total += turned_s if shape.turned[m] else square_s
-        if np.hypot(ex, ey) < phys.approach:
-            return 0, 0, 0.0, 0
-        px, py = shape.x[m], shape.y[m]
-        shape.wait[m] = 0.0
-    if total > duration:
-        return 0, 0, 0.0, 0
     # One wait is found exactly; now and then another is tried at random.
     if rng.random() < 0.25:
         shape.wait[int(rng.random() * n_leg)] = (duration - total) * rng.random()
     late_leg = int(rng.random() * n_leg)
-    n_knot, t = build_knots(phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i])
-    return n_leg, n_knot, t, late_leg
+    return build_knots(phys, robot, shape, n_leg), late_leg
 
 
 @njit(cache=True)
-def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, shape, best, events):
+def _choose_turns(phys, robot, rng, n_leg, duration, shape):
+    """Turn before a leg or not, mostly whichever is quicker; returns the time, infinite if longer than `duration`."""
+    hx, hy, total, x, y = robot.hx, robot.hy, 0.0, robot.sx, robot.sy
+    for m in range(n_leg):
+        ex, ey = shape.x[m] - x, shape.y[m] - y
+        if ex * ex + ey * ey < phys.approach * phys.approach:
+            return np.inf
+        turned_s, square_s = leg_options(phys, hx, hy, ex, ey, m == n_leg - 1)
+        shape.turned[m] = (turned_s < square_s) != (rng.random() < 0.15)
+        if shape.turned[m]:
+            hx, hy = turned_heading(hx, hy, ex, ey)
+        total += turned_s if shape.turned[m] else square_s
+        if total > duration:
+            return np.inf
+        x, y = shape.x[m], shape.y[m]
+        shape.wait[m] = 0.0
+    return total
+
+
+@njit(cache=True)
+def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, scratch, room, near):
     """Plan robot i again within `duration`, if the score of its conflicts falls below `least`; returns the score.
 
-    The direct shapes are tried, then sampled detours.
+    The direct shapes are tried, then sampled detours. `scratch` is room for two plans.
     """
-    best_legs, best_knots, delay, late_best = -1, 0, 0.0, 0
-    partner = _pick_partner(plans, rng, i) if n_sample > 0 else -1
-    n_near = find_near(phys, plans, i, duration, separation, margin, events.near)
+    robots, plan, weight = plans.robot, plans.plan, plans.weight[i]
+    has_found = _replan(
+        phys,
+        robots,
+        plan,
+        plans.conflict,
+        weight,
+        rng,
+        i,
+        duration,
+        n_sample,
+        least,
+        separation,
+        margin,
+        scratch,
+        room,
+        near,
+    )
+    if has_found == np.inf:
+        return np.inf
+    set_plan(plans, i, scratch[1], separation, margin)
+    return has_found
+
+
+@njit(cache=True)
+def _replan(
+    phys, robots, plan, conflict, weight, rng, i, duration, n_sample, least, separation, margin, scratch, room, near
+):  # fmt: skip
+    """The search of `replan`; leaves the best plan in scratch[1] and returns its score, inf if there is none."""
+    me, own, shape, space = robots[i], plan[i], scratch[0], room[0]
+    partner = _pick_partner(rng, conflict[i]) if n_sample > 0 else -1
+    n_near = find_near(phys, robots, plan, conflict, i, duration, separation, margin, near)
+    found = np.inf
     for option in range(3 + n_sample):
         late_leg = 0
         if option < 3:
-            n_leg, n_knot, t = direct_shape(phys, plans, i, option, shape)
+            t = direct_shape(phys, me, option, shape)
         else:
-            n_leg, n_knot, t, late_leg = sample_shape(phys, plans, rng, i, partner, duration, separation, shape)
-        if n_knot == 0 or t > duration + SAME_DELAY_S:
+            t, late_leg = sample_shape(phys, me, own, plan[max(partner, 0)], partner >= 0, rng, duration, separation, shape)
+        if t > duration + SAME_DELAY_S:
             continue
         delay_max = max(0.0, duration - t)
-        score, d = best_delay(plans, rng, i, n_near, shape, n_knot, late_leg, delay_max, separation, margin, least, events)
+        score, delay = best_delay(
+            robots, plan, weight, rng, me, near[:n_near], shape, late_leg, delay_max, separation, margin, least, space
+        )
         if score < least:
-            least, best_legs, best_knots, delay, late_best = score, n_leg, n_knot, d, late_leg
-            _copy_shape(shape, best, n_leg, n_knot)
+            least = found = score
+            delay_from(shape, late_leg, delay)
+            scratch[1] = scratch[0]
             if score == 0.0:
                 break
-        if n_leg == 0 and n_sample == 0:
+        if shape.n_leg == 0 and n_sample == 0:
             break
-    if best_legs < 0:
-        return np.inf
-    set_plan(plans, i, best, best_legs, best_knots, late_best, delay, separation, margin)
-    return least
+    return found
 
 
 @njit(cache=True)
 def present_score(plans, i, separation, margin):
     """Score of the conflicts of robot i as planned."""
+    robots, plan, weight = plans.robot, plans.plan, plans.weight[i]
+    me, own = robots[i], plan[i]
     total = 0.0
-    for j in range(len(plans.start)):
+    for j in range(len(robots)):
         if plans.conflict[i, j]:
-            r = pair_radius(plans, i, j, separation, margin)
-            total += conflict_score(plans, i, j, plans.kt[i], plans.kx[i], plans.ky[i], plans.n_knot[i], r)
+            r = pair_radius(me, robots[j], separation, margin)
+            heavy = pair_weight(robots, weight, j)
+            total += conflict_score(heavy, own.kt, own.kx, own.ky, own.n_knot, plan[j], r)
     return total
-
-
-@njit(cache=True)
-def _copy_shape(source, target, n_leg, n_knot):
-    for m in range(n_leg):
-        target.x[m], target.y[m] = source.x[m], source.y[m]
-        target.turned[m], target.wait[m], target.leave[m] = source.turned[m], source.wait[m], source.leave[m]
-    for k in range(n_knot):
-        target.kt[k], target.kx[k], target.ky[k] = source.kt[k], source.kx[k], source.ky[k]
 
 
 @njit(cache=True)
 def start_directly(phys, plans, separation, margin):
     """Everybody by the quicker direct shape, at once."""
-    shape, other = new_shape(MAX_LEGS), new_shape(MAX_LEGS)
-    for i in range(len(plans.start)):
-        n_leg, n_knot, t = direct_shape(phys, plans, i, 0, shape)
-        n_leg1, n_knot1, t1 = direct_shape(phys, plans, i, 1, other)
-        chosen = shape
-        if n_knot1 > 0 and t1 < t:
-            chosen, n_leg, n_knot = other, n_leg1, n_knot1
-        plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
-        set_plan_alone(plans, i, chosen, n_leg, n_knot)
-        find_conflicts(plans, i, i, separation, margin)
+    scratch = np.zeros(1, PLAN)
+    for i in range(len(plans.robot)):
+        _start_directly(phys, plans.robot[i], plans.plan, i, scratch)
+        find_conflicts(plans.robot, plans.plan, plans.conflict, plans.n_conflict, i, i, separation, margin)
 
 
 @njit(cache=True)
-def set_plan_alone(plans, i, shape, n_leg, n_knot):
-    """Give robot i the shape, started at once, without looking for conflicts."""
-    plans.n_leg[i], plans.n_knot[i] = n_leg, n_knot
-    for m in range(n_leg):
-        plans.x[i, m], plans.y[i, m] = shape.x[m], shape.y[m]
-        plans.turned[i, m], plans.wait[i, m] = shape.turned[m], shape.wait[m]
-    plans.kt[i, :n_knot], plans.kx[i, :n_knot], plans.ky[i, :n_knot] = (
-        shape.kt[:n_knot],
-        shape.kx[:n_knot],
-        shape.ky[:n_knot],
-    )
-    plans.box[i, 0], plans.box[i, 1] = shape.kx[:n_knot].min(), shape.kx[:n_knot].max()
-    plans.box[i, 2], plans.box[i, 3] = shape.ky[:n_knot].min(), shape.ky[:n_knot].max()
+def _start_directly(phys, robot, plan, i, scratch):
+    t = direct_shape(phys, robot, 0, plan[i])
+    if direct_shape(phys, robot, 1, scratch[0]) < t:
+        plan[i] = scratch[0]
+
+
+class Effort(NamedTuple):
+    """How long coordinated routing searches.
+
+    Attributes
+    ----------
+    sample
+        Detours tried at each step of repair.
+    first
+        Steps at the bound before pairs in conflict are looked at alone.
+    pair
+        Steps in which two robots find their way at one duration, if there is one.
+    quick
+        Steps of all robots at one duration.
+    shorten
+        Steps spent on shortening plans that were not found at the bound.
+    """
+
+    sample: int
+    first: int
+    pair: int
+    quick: int
+    shorten: int
+
+
+@njit(cache=True)
+def begin(phys, plans, rng, duration, n_sample, separation, margin):
+    """Plan again robots that are late, then those in conflict by the delays of their direct shapes."""
+    n = len(plans.robot)
+    scratch, room, near = np.zeros(2, PLAN), np.empty(1, ROOM), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        if arrival(plans.plan[i]) > duration + SAME_DELAY_S:
+            replan(phys, plans, rng, i, duration, n_sample, np.inf, separation, margin, scratch, room, near)
+    # Robots with most time to spare first: they have most delays to choose from.
+    order = np.argsort(plans.robot["alone"])
+    for _ in range(2):
+        for i in order:
+            if plans.n_conflict[i] > 0 and plans.robot[i].is_free:
+                limit = present_score(plans, i, separation, margin)
+                replan(phys, plans, rng, i, duration, 0, limit, separation, margin, scratch, room, near)
 
 
 @njit(cache=True)
 def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
-    """Plan robots that are late or in conflict again until none is; returns the number of steps, -1 if they were too few."""
-    n = len(plans.start)
-    shape, best, events = new_shape(MAX_LEGS), new_shape(MAX_LEGS), new_events(n, MAX_LEGS)
-    for i in range(n):
-        if plans.kt[i, plans.n_knot[i] - 1] > duration + SAME_DELAY_S:
-            replan(phys, plans, rng, i, duration, n_sample, np.inf, separation, margin, shape, best, events)
-    # Robots with most time to spare first: they have most delays to choose from.
-    order = np.argsort(plans.alone)
-    for _ in range(2):
-        for i in order:
-            if plans.n_conflict[i] > 0 and plans.is_free[i]:
-                limit = present_score(plans, i, separation, margin)
-                replan(phys, plans, rng, i, duration, 0, limit, separation, margin, shape, best, events)
-    for step in range(n_step):
+    """Plan robots that are in conflict again until none is; returns the number of steps, -1 if they were too few."""
+    n = len(plans.robot)
+    scratch, room, near = np.zeros(2, PLAN), np.empty(1, ROOM), np.empty(n, dtype=np.int64)
+    for step in range(n_step + 1):
         i, seen = -1, 0.0
         for k in range(n):
-            if plans.n_conflict[k] > 0 and plans.is_free[k]:
+            if plans.n_conflict[k] > 0 and plans.robot[k].is_free:
                 # Who has no time to spare has few ways to choose from.
-                share = min(1.0, max(0.1, duration - plans.alone[k]))
+                share = min(1.0, max(0.1, duration - plans.robot[k].alone))
                 seen += share
                 if rng.random() * seen < share:
                     i = k
         if i < 0:
             return step
+        if step == n_step:
+            break
         # Only downwards; the conflicts that survive at a low point weigh more from then on, until it is none.
         limit = present_score(plans, i, separation, margin)
-        after = replan(phys, plans, rng, i, duration, n_sample, limit, separation, margin, shape, best, events)
+        after = replan(phys, plans, rng, i, duration, n_sample, limit, separation, margin, scratch, room, near)
         if after >= limit:
             for j in range(n):
                 if plans.conflict[i, j]:
@@ -1005,69 +1064,164 @@ def repair(phys, plans, rng, duration, n_step, n_sample, separation, margin):
 
 
 @njit(cache=True)
+def arrival(plan):
+    """When the robot comes to rest, s."""
+    return plan.kt[plan.n_knot - 1]
+
+
+@njit(cache=True)
 def copy_plans(source, target):
     """Overwrite the plans and conflicts of `target`; weights are not copied."""
-    target.n_leg[:], target.x[:], target.y[:] = source.n_leg, source.x, source.y
-    target.turned[:], target.wait[:] = source.turned, source.wait
-    target.n_knot[:], target.kt[:], target.kx[:], target.ky[:] = source.n_knot, source.kt, source.kx, source.ky
-    target.box[:], target.conflict[:], target.n_conflict[:] = source.box, source.conflict, source.n_conflict
+    target.plan[:], target.conflict[:], target.n_conflict[:] = source.plan, source.conflict, source.n_conflict
 
 
 @njit(cache=True)
 def last_arrival(plans):
     """When the last robot comes to rest, s."""
     latest = 0.0
-    for i in range(len(plans.start)):
-        latest = max(latest, plans.kt[i, plans.n_knot[i] - 1])
+    for i in range(len(plans.plan)):
+        latest = max(latest, arrival(plans.plan[i]))
     return latest
 
 
 @njit(cache=True)
-def ground(plans, i, shape, separation, margin):
+def ground(plans, i, separation, margin):
     """Robot i stays where it starts, for good."""
-    plans.goal[i] = plans.start[i]
-    plans.is_free[i] = False
-    plans.alone[i] = 0.0
-    shape.kt[0], shape.kx[0], shape.ky[0], shape.leave[0] = 0.0, plans.start[i, 0], plans.start[i, 1], -1
-    set_plan(plans, i, shape, 0, 1, 0, 0.0, separation, margin)
+    scratch = np.zeros(1, PLAN)
+    _ground(plans.robot[i], scratch[0])
+    set_plan(plans, i, scratch[0], separation, margin)
+
+
+@njit(cache=True)
+def _ground(robot, plan):
+    robot.gx, robot.gy, robot.is_free, robot.alone = robot.sx, robot.sy, False, 0.0
+    stay(robot, plan)
 
 
 @njit(cache=True)
 def ground_worst(plans, separation, margin):
     """Ground the free robot with most conflicts, of those the one with least slack; returns it, -1 if none is left."""
     worst = -1
-    for i in range(len(plans.start)):
-        if plans.is_free[i] and plans.n_conflict[i] > 0:
+    for i in range(len(plans.robot)):
+        if plans.robot[i].is_free and plans.n_conflict[i] > 0:
             more = worst < 0 or plans.n_conflict[i] > plans.n_conflict[worst]
-            if more or (plans.n_conflict[i] == plans.n_conflict[worst] and plans.alone[i] > plans.alone[worst]):
+            if more or (plans.n_conflict[i] == plans.n_conflict[worst] and plans.robot[i].alone > plans.robot[worst].alone):
                 worst = i
     if worst >= 0:
-        ground(plans, worst, new_shape(MAX_LEGS), separation, margin)
+        ground(plans, worst, separation, margin)
     return worst
 
 
 @njit(cache=True)
-def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separation, margin):
+def tasks_of_pair(phys, robots, i, j, duration, separation):
+    """Tasks of robots i and j, and of those that cannot move near them."""
+    n = len(robots)
+    members = np.empty(n, dtype=np.int64)
+    members[0], members[1], n_member = i, j, 2
+    far = 0.5 * duration * phys.coarse + separation
+    for k in range(n):
+        if robots[k].is_free or k in (i, j):
+            continue
+        for m in members[:2]:
+            x = 0.5 * (robots[m].sx + robots[m].gx) - robots[k].sx
+            y = 0.5 * (robots[m].sy + robots[m].gy) - robots[k].sy
+            if robots[m].is_free and x * x + y * y < far * far:
+                members[n_member] = k
+                n_member += 1
+                break
+    return robots[members[:n_member]]
+
+
+@njit(cache=True)
+def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
+    """Least duration from `low` on in which robots i and j are found to do without a conflict, were they alone.
+
+    Where that is longer, robots i and j are given the plans that do.
+    """
+    tasks = tasks_of_pair(phys, plans.robot, i, j, low, separation)
+    pair = stand_still(tasks, np.zeros(len(tasks), PLAN))
+    start_directly(phys, pair, separation, margin)
+    begin(phys, pair, rng, low, effort.sample, separation, margin)
+    if repair(phys, pair, rng, low, effort.pair, effort.sample, separation, margin) >= 0:
+        return low
+    kept = stand_still(tasks, np.zeros(len(tasks), PLAN))
+    unit = max(low, SHORT_S)
+    failed, found, more = low, np.inf, FIRST_PAIR_FRAC * unit
+    while found - failed > PAIR_FRAC * unit:
+        trial = low + more if found == np.inf else 0.5 * (found + failed)
+        begin(phys, pair, rng, trial, effort.sample, separation, margin)
+        if repair(phys, pair, rng, trial, effort.pair, effort.sample, separation, margin) >= 0:
+            copy_plans(pair, kept)
+            found = last_arrival(pair)
+        else:
+            failed = trial
+            more *= 2.0
+            if more > MOST_STRIDES * unit:
+                return low
+            if found < np.inf:
+                copy_plans(kept, pair)
+    for k, m in ((0, i), (1, j)):
+        if plans.robot[m].is_free:
+            set_plan(plans, m, kept.plan[k], separation, margin)
+    return found
+
+
+@njit(cache=True)
+def least_of_pairs(phys, plans, rng, low, effort, separation, margin):
+    """Least duration from `low` on in which each pair now in conflict is found to do without one, were it alone.
+
+    A pair that cannot do in the present duration is in conflict whatever the others do, so no other pair need be looked at.
+    """
+    n = len(plans.robot)
+    n_pair = 0
+    pairs = np.empty((MAX_PAIRS, 2), dtype=np.int64)
+    for i in range(n):
+        for j in range(i):
+            if plans.conflict[i, j] and n_pair < MAX_PAIRS:
+                pairs[n_pair, 0], pairs[n_pair, 1] = i, j
+                n_pair += 1
+    for k in range(n_pair):
+        low = least_of_pair(phys, plans, rng, pairs[k, 0], pairs[k, 1], low, effort, separation, margin)
+    return low
+
+
+@njit(cache=True)
+def coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
     """Plans without conflict, as near to `bound` as is found; returns whether there are any.
 
-    First at the bound; then at longer durations, in long strides, since those that fail cost most; then back down from
-    plans that hold, part of the way to what failed or a little, again and again until `n_step` steps are used.
+    First at the bound; where that fails, at the least duration of the pairs in conflict, each alone; then at longer ones,
+    in strides, since those that fail cost most; then back down from plans that hold, part of the way to what failed or a
+    little, again and again until `effort.shorten` steps are used.
     """
-    if repair(phys, plans, rng, bound, n_quick, n_sample, separation, margin) >= 0:
+    begin(phys, plans, rng, bound, effort.sample, separation, margin)
+    if repair(phys, plans, rng, bound, effort.first, effort.sample, separation, margin) >= 0:
         return True
-    # A field of short hops may need long detours: longer by shares of the bound, or of this, s.
-    unit = max(bound, 10.0)
-    failed, more = bound, FIRST_STRIDE_FRAC * unit
-    while repair(phys, plans, rng, bound + more, n_quick // 2, n_sample, separation, margin) < 0:
-        failed = bound + more
-        if more > MOST_STRIDES * unit:
-            return False
-        more *= 2.0
+    unit = max(bound, SHORT_S)
+    low = least_of_pairs(phys, plans, rng, bound, effort, separation, margin)
+    duration, failed, more = low, bound, FIRST_STRIDE_FRAC * unit
+    while True:
+        if duration > bound:
+            begin(phys, plans, rng, duration, effort.sample, separation, margin)
+        if repair(phys, plans, rng, duration, effort.quick, effort.sample, separation, margin) >= 0:
+            break
+        failed = duration
+        raised = least_of_pairs(phys, plans, rng, duration, effort, separation, margin)
+        if raised > duration:
+            low = duration = raised
+        else:
+            if more > MOST_STRIDES * unit:
+                return False
+            duration = low + more
+            more *= 2.0
     copy_plans(plans, kept)
     found, done = last_arrival(kept), 0
-    while done < n_step and found > bound + SAME_DELAY_S:
-        trial = max(bound, found - max(DESCENT_FRAC * (found - failed), CLOSE_FRAC * bound))
-        used = repair(phys, plans, rng, trial, n_quick, n_sample, separation, margin)
+    while done < effort.shorten and found > bound + SAME_DELAY_S:
+        trial = max(bound, found - max(DESCENT_FRAC * (found - max(failed, low)), CLOSE_FRAC * unit))
+        is_below = trial < low
+        if is_below and found > low + SAME_DELAY_S:
+            trial, is_below = low, False
+        begin(phys, plans, rng, trial, effort.sample, separation, margin)
+        used = repair(phys, plans, rng, trial, effort.quick, effort.sample, separation, margin)
         if used >= 0:
             copy_plans(plans, kept)
             found = last_arrival(kept)
@@ -1075,25 +1229,32 @@ def coordinate(phys, plans, kept, rng, bound, n_quick, n_step, n_sample, separat
         else:
             copy_plans(kept, plans)
             failed = max(failed, trial)
-            done += n_quick
+            # Below what the pairs were found to need, a second failure is as good as certain.
+            done += effort.shorten if is_below else effort.quick
     return True
 
 
 @njit(cache=True)
 def leg_starts(phys, plans):
     """(n, max_legs) when each leg of each plan starts, s."""
-    n = len(plans.start)
-    start_s = np.zeros(plans.x.shape)
-    for i in range(n):
-        t, theta, x, y = 0.0, plans.theta[i], plans.start[i, 0], plans.start[i, 1]
-        for m in range(plans.n_leg[i]):
-            t += plans.wait[i, m]
-            start_s[i, m] = t
-            is_last = m == plans.n_leg[i] - 1
-            took, theta = leg_time(phys, theta, plans.x[i, m] - x, plans.y[i, m] - y, plans.turned[i, m], is_last)
-            t += took
-            x, y = plans.x[i, m], plans.y[i, m]
+    start_s = np.zeros((len(plans.robot), len(plans.plan[0].x)))
+    for i in range(len(plans.robot)):
+        _leg_starts(phys, plans.robot[i], plans.plan[i], start_s[i])
     return start_s
+
+
+@njit(cache=True)
+def _leg_starts(phys, robot, plan, start_s):
+    t, hx, hy, x, y = 0.0, robot.hx, robot.hy, robot.sx, robot.sy
+    for m in range(plan.n_leg):
+        t += plan.wait[m]
+        start_s[m] = t
+        ex, ey = plan.x[m] - x, plan.y[m] - y
+        turned_s, square_s = leg_options(phys, hx, hy, ex, ey, m == plan.n_leg - 1)
+        t += turned_s if plan.turned[m] else square_s
+        if plan.turned[m]:
+            hx, hy = turned_heading(hx, hy, ex, ey)
+        x, y = plan.x[m], plan.y[m]
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -1111,32 +1272,40 @@ TURN_COST_S = 0.01
 
 
 @njit(cache=True)
-def plan_with_stop(phys, plans, rng, i, separation, shape, best, events):
+def plan_with_stop(phys, plans, rng, i, separation, scratch, room, near):
     """Plan robot i straight to its goal, waiting before it starts or once on the way; False if no wait clears it."""
-    x0, y0, x1, y1 = plans.start[i, 0], plans.start[i, 1], plans.goal[i, 0], plans.goal[i, 1]
-    least, best_legs, best_knots, best_delay_s = np.inf, 0, 0, 0.0
-    n_near = find_near(phys, plans, i, LONGEST_WAIT_S, separation, 0.0, events.near)
+    robots, plan, weight = plans.robot, plans.plan, plans.weight[i]
+    n_near = find_near(phys, robots, plan, plans.conflict, i, LONGEST_WAIT_S, separation, 0.0, near)
+    if not _find_stop(phys, robots, plan, weight, rng, i, near[:n_near], separation, scratch, room[0]):
+        return False
+    set_plan(plans, i, scratch[1], separation, 0.0)
+    return True
+
+
+@njit(cache=True)
+def _find_stop(phys, robots, plan, weight, rng, i, near, separation, scratch, space):
+    """The search of `plan_with_stop`; leaves the plan in scratch[1]."""
+    robot, shape = robots[i], scratch[0]
+    least = np.inf
     for stop in range(N_STOP):
         n_leg = 1 if stop == 0 else 2
         f = stop / N_STOP
-        shape.x[0], shape.y[0] = x0 + f * (x1 - x0), y0 + f * (y1 - y0)
-        shape.x[n_leg - 1], shape.y[n_leg - 1] = x1, y1
+        shape.x[0], shape.y[0] = robot.sx + f * (robot.gx - robot.sx), robot.sy + f * (robot.gy - robot.sy)
+        shape.x[n_leg - 1], shape.y[n_leg - 1] = robot.gx, robot.gy
         for m in range(n_leg):
             shape.turned[m], shape.wait[m] = True, 0.0
-        n_knot, t = build_knots(
-            phys, shape, n_leg, x0, y0, plans.theta[i], plans.park[i, 0], plans.park[i, 1], plans.reach[i]
-        )
+        t = build_knots(phys, robot, shape, n_leg)
+        if t == np.inf:
+            continue
         # Below the least weight of a conflict only none will do.
         score, delay = best_delay(
-            plans, rng, i, n_near, shape, n_knot, n_leg - 1, LONGEST_WAIT_S, separation, 0.0, 0.1, events
-        )  # fmt: skip
+            robots, plan, weight, rng, robot, near, shape, n_leg - 1, LONGEST_WAIT_S, separation, 0.0, 0.1, space
+        )
         if score == 0.0 and t + delay < least:
-            least, best_legs, best_knots, best_delay_s = t + delay, n_leg, n_knot, delay
-            _copy_shape(shape, best, n_leg, n_knot)
-    if best_legs == 0:
-        return False
-    set_plan(plans, i, best, best_legs, best_knots, best_legs - 1, best_delay_s, separation, 0.0)
-    return True
+            least = t + delay
+            delay_from(shape, n_leg - 1, delay)
+            scratch[1] = scratch[0]
+    return least < np.inf
 
 
 @njit(cache=True)
@@ -1144,11 +1313,12 @@ def _is_piece_clear(plans, i, x0, y0, t0, x1, y1, t1, r):
     """Whether a straight move (or a stand) of robot i from t0 to t1 keeps r from all other plans meanwhile."""
     r2 = (r - TOUCH_MM) ** 2
     low_x, high_x, low_y, high_y = min(x0, x1) - r, max(x0, x1) + r, min(y0, y1) - r, max(y0, y1) + r
-    for j in range(len(plans.start)):
-        box = plans.box[j]
+    for j in range(len(plans)):
+        other = plans[j]
+        box = other.box
         if j == i or box[0] > high_x or box[1] < low_x or box[2] > high_y or box[3] < low_y:
             continue
-        kt, kx, ky, last = plans.kt[j], plans.kx[j], plans.ky[j], plans.n_knot[j] - 1
+        kt, kx, ky, last = other.kt, other.kx, other.ky, other.n_knot - 1
         t, x, y, k = t0, x0, y0, -1
         while k < last and kt[k + 1] <= t0:
             k += 1
@@ -1175,24 +1345,24 @@ LATTICE_Y = np.array([0, 0, 1, -1, 0])
 
 
 @njit(cache=True)
-def _final_approach(phys, plans, i, x, y, t, separation, shape):
+def _final_approach(phys, robot, plans, i, x, y, t, separation, shape):
     """Whether robot i can go from (x, y) at t to its goal, x then y, and stay there for good."""
-    shape.x[0], shape.y[0], shape.turned[0], shape.wait[0] = plans.goal[i, 0], plans.goal[i, 1], False, 0.0
-    park_x, park_y = plans.park[i]
-    n_knot, _ = build_knots(phys, shape, 1, x, y, plans.theta[i], park_x, park_y, plans.reach[i])
-    for k in range(n_knot):
+    shape.x[0], shape.y[0], shape.turned[0], shape.wait[0] = robot.gx, robot.gy, False, 0.0
+    if _build_knots(phys, robot, shape, 1, x, y) == np.inf:
+        return False
+    for k in range(shape.n_knot):
         end_t, end_x, end_y = np.inf, shape.kx[k], shape.ky[k]
-        if k < n_knot - 1:
+        if k < shape.n_knot - 1:
             end_t, end_x, end_y = t + shape.kt[k + 1], shape.kx[k + 1], shape.ky[k + 1]
         if not _is_piece_clear(plans, i, shape.kx[k], shape.ky[k], t + shape.kt[k], end_x, end_y, end_t, separation):
             return False
-    return n_knot > 0
+    return True
 
 
 @njit(cache=True)
-def _legs_from_moves(plans, i, moves, pitch, step_s, shape):
+def _legs_from_moves(robot, moves, pitch, step_s, shape):
     """Way points of lattice moves, x before y within a leg, and of the final approach; returns n_leg, 0 if too many."""
-    c, s = np.cos(np.radians(plans.theta[i])), np.sin(np.radians(plans.theta[i]))
+    c, s = robot.hx, robot.hy
     a, b, n_leg, wait, leg_x, leg_y = 0, 0, 0, 0.0, 0, 0
     for k in range(len(moves) + 1):
         is_end = k == len(moves)
@@ -1203,34 +1373,42 @@ def _legs_from_moves(plans, i, moves, pitch, step_s, shape):
             if n_leg >= MAX_LATTICE_LEGS - 1:
                 return 0
             a, b = a + leg_x, b + leg_y
-            shape.x[n_leg] = plans.start[i, 0] + pitch * (c * a - s * b)
-            shape.y[n_leg] = plans.start[i, 1] + pitch * (s * a + c * b)
+            shape.x[n_leg] = robot.sx + pitch * (c * a - s * b)
+            shape.y[n_leg] = robot.sy + pitch * (s * a + c * b)
             shape.turned[n_leg], shape.wait[n_leg] = False, wait
             n_leg, wait, leg_x, leg_y = n_leg + 1, 0.0, 0, 0
         if not is_end and move_x == 0 and move_y == 0:
             wait += step_s
         leg_x, leg_y = leg_x + move_x, leg_y + move_y
-    shape.x[n_leg], shape.y[n_leg] = plans.goal[i, 0], plans.goal[i, 1]
+    shape.x[n_leg], shape.y[n_leg] = robot.gx, robot.gy
     shape.turned[n_leg], shape.wait[n_leg] = False, wait
     return n_leg + 1
 
 
 @njit(cache=True)
-def plan_on_lattice(phys, plans, i, separation, shape, n_expand):
+def plan_on_lattice(phys, plans, i, separation, scratch, n_expand):
     """Plan robot i by A* in space and time: steps along its own axes or waits, never turning; False if none is found.
 
     Every step and the exact final approach are checked in closed form against the plans of all others.
     """
+    if not _search_lattice(phys, plans.robot[i], plans.plan, i, separation, scratch[0], n_expand):
+        return False
+    set_plan(plans, i, scratch[0], separation, 0.0)
+    return True
+
+
+@njit(cache=True)
+def _search_lattice(phys, robot, plans, i, separation, shape, n_expand):
+    """The search of `plan_on_lattice`; leaves the plan in `shape`."""
     pitch, step_s = LATTICE_MM, LATTICE_MM / phys.coarse
-    half = int(2.0 * plans.reach[i] / pitch) + 1
+    half = int(2.0 * robot.reach / pitch) + 1
     n_time, width = int(LONGEST_WAIT_S / 2.0 / step_s), 2 * half + 1
     # How each (time, x, y) was come to: 0 not yet, else 1 + move.
     came = np.zeros((n_time, width, width), dtype=np.int8)
     is_done = np.zeros((n_time, width, width), dtype=np.bool_)
-    c, s = np.cos(np.radians(plans.theta[i])), np.sin(np.radians(plans.theta[i]))
-    x0, y0 = plans.start[i, 0], plans.start[i, 1]
-    park_x, park_y = plans.park[i]
-    ex, ey = plans.goal[i, 0] - x0, plans.goal[i, 1] - y0
+    c, s = robot.hx, robot.hy
+    x0, y0 = robot.sx, robot.sy
+    ex, ey = robot.gx - x0, robot.gy - y0
     goal_a, goal_b = c * ex + s * ey, c * ey - s * ex
     heap = [((abs(goal_a) + abs(goal_b)) / phys.coarse, 0.0, 0, half, half, 4)]
     came[0, half, half] = 5
@@ -1243,17 +1421,13 @@ def plan_on_lattice(phys, plans, i, separation, shape, n_expand):
         a, b, t = (ia - half) * pitch, (ib - half) * pitch, k * step_s
         x, y = x0 + c * a - s * b, y0 + s * a + c * b
         is_close = abs(goal_a - a) <= pitch and abs(goal_b - b) <= pitch
-        if is_close and _final_approach(phys, plans, i, x, y, t, separation, shape):
+        if is_close and _final_approach(phys, robot, plans, i, x, y, t, separation, shape):
             moves = np.zeros(k, dtype=np.int64)
             for m in range(k - 1, -1, -1):
                 moves[m] = came[m + 1, ia, ib] - 1
                 ia, ib = ia - LATTICE_X[moves[m]], ib - LATTICE_Y[moves[m]]
-            n_leg = _legs_from_moves(plans, i, moves, pitch, step_s, shape)
-            n_knot, _ = build_knots(phys, shape, n_leg, x0, y0, plans.theta[i], park_x, park_y, plans.reach[i])
-            if n_leg == 0 or n_knot == 0:
-                return False
-            set_plan(plans, i, shape, n_leg, n_knot, 0, 0.0, separation, 0.0)
-            return True
+            n_leg = _legs_from_moves(robot, moves, pitch, step_s, shape)
+            return n_leg > 0 and build_knots(phys, robot, shape, n_leg) < np.inf
         if k + 1 >= n_time:
             continue
         for move in range(5):
@@ -1262,7 +1436,7 @@ def plan_on_lattice(phys, plans, i, separation, shape, n_expand):
                 continue
             a, b = (ja - half) * pitch, (jb - half) * pitch
             x1, y1 = x0 + c * a - s * b, y0 + s * a + c * b
-            if not is_inside(phys, x1, y1, park_x, park_y, plans.reach[i]):
+            if not is_inside(phys, robot, x1, y1):
                 continue
             if not _is_piece_clear(plans, i, x, y, t, x1, y1, t + step_s, separation):
                 continue

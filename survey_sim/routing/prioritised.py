@@ -26,7 +26,7 @@ def route_traffic_light(
     problem: Problem, settings: RoutingSettings, rng: np.random.Generator
 ) -> tuple[Legs, npt.NDArray[np.int8]]:
     """Legs and (n_robot,) reasons."""
-    plans = new_plans(problem, ~problem.plate.is_live, kernels.MAX_LATTICE_LEGS)
+    plans = new_plans(problem, ~problem.plate.is_live, kernels.LATTICE_PLAN)
     waiting = _plan_straight(problem, plans, rng)
     return legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.BLOCKED_STRAIGHT)
 
@@ -35,12 +35,12 @@ def route_cooperative_astar(
     problem: Problem, settings: RoutingSettings, rng: np.random.Generator
 ) -> tuple[Legs, npt.NDArray[np.int8]]:
     """Legs and (n_robot,) reasons."""
-    plans = new_plans(problem, ~problem.plate.is_live, kernels.MAX_LATTICE_LEGS)
+    plans = new_plans(problem, ~problem.plate.is_live, kernels.LATTICE_PLAN)
     waiting = _plan_straight(problem, plans, rng)
-    phys, shape = physics(problem), kernels.new_shape(kernels.MAX_LATTICE_LEGS)
+    phys, scratch = physics(problem), np.zeros(1, kernels.LATTICE_PLAN)
     has_changed = True
     while waiting and has_changed:
-        left = [i for i in waiting if not kernels.plan_on_lattice(phys, plans, i, problem.separation_mm, shape, N_EXPAND)]
+        left = [i for i in waiting if not kernels.plan_on_lattice(phys, plans, i, problem.separation_mm, scratch, N_EXPAND)]
         has_changed, waiting = len(left) < len(waiting), left
     return legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.NO_PATH)
 
@@ -48,14 +48,14 @@ def route_cooperative_astar(
 def _plan_straight(problem: Problem, plans: kernels.Plans, rng: np.random.Generator) -> list[int]:
     """Plan whoever can go straight, the furthest first; returns those that cannot."""
     phys = physics(problem)
-    shape, best = kernels.new_shape(kernels.MAX_LATTICE_LEGS), kernels.new_shape(kernels.MAX_LATTICE_LEGS)
-    events = kernels.new_events(problem.n_robot, kernels.MAX_LATTICE_LEGS)
+    scratch, room = np.zeros(2, kernels.LATTICE_PLAN), np.zeros(1, kernels.ROOM)
+    near = np.zeros(problem.n_robot, dtype=np.int64)
     movers = np.flatnonzero(problem.has_to_move)
     waiting = movers[np.argsort(-problem.alone_s[movers], kind="stable")].tolist()
     has_changed = True
     while waiting and has_changed:
         left = [
-            i for i in waiting if not kernels.plan_with_stop(phys, plans, rng, i, problem.separation_mm, shape, best, events)
+            i for i in waiting if not kernels.plan_with_stop(phys, plans, rng, i, problem.separation_mm, scratch, room, near)
         ]
         has_changed, waiting = len(left) < len(waiting), left
     return waiting
