@@ -234,6 +234,8 @@ def turned_heading(hx, hy, ex, ey):
     """
     along, across = hx * ex + hy * ey, hx * ey - hy * ex
     length = np.sqrt(ex * ex + ey * ey)
+    if length == 0.0:
+        return hx, hy
     if abs(along) > abs(across) or (abs(along) == abs(across) and along * across < 0.0):
         length = np.copysign(length, along)
         return ex / length, ey / length
