@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -235,17 +235,39 @@ def compare_routers(
     console.print(f"{made.file}, and figures beside it")
 
 
+_EXECUTION_HEADS = {
+    "margin_mm": "margin mm",
+    "scatter_frac": "scatter %",
+    "near_frac": "near %",
+    "contact_frac": "contact %",
+    "cost_frac": "longer %",
+    "margin_cost_frac": "planned over bound %",
+    "metrology_s": "metrology s",
+}
+
+
 def figures(
     out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/figures"),
-    quick: Annotated[bool, typer.Option("--quick", help="Without the field of thousands of stars.")] = False,
+    study: Annotated[
+        Literal["allocation", "execution"],
+        typer.Option(help="The paper's Figures 7 to 10, or safety and cost of errors of execution."),
+    ] = "allocation",
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer fields: without thousands of stars.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare the allocation algorithms on the paper's fields (its Figures 7 to 10): tables and figures."""
+    """Compare the allocation algorithms on the paper's fields, or ways to play legs with errors: tables and figures."""
     import polars as pl
 
+    console = _console(quiet)
+    if study == "execution":
+        from survey_sim.survey.execution_study import draw_execution_study
+
+        shares = draw_execution_study(out, console, quick=quick)
+        console.print(_table(shares.with_columns(pl.col("^.*_frac$") * 100.0).rename(_EXECUTION_HEADS)))
+        console.print(f"tables and figures: [bold]{out}[/bold]")
+        return
     from survey_sim.survey.allocation_study import draw_paper_figures
 
-    console = _console(quiet)
     summary = draw_paper_figures(out, console, quick=quick)
     in_percent = pl.col("completeness_frac", "bound_frac") * 100.0
     console.print(_table(summary.with_columns(in_percent).rename(_STUDY_HEADS)))

@@ -311,6 +311,30 @@ _TABLES = (
         is_in_parts=True,
     ),
     Table(
+        "executions",
+        "a path of a visit played with errors of execution; none if [simulation] has no errors",
+        (
+            SURVEY,
+            TILE_ID,
+            VISIT_ID,
+            PATH,
+            Column("mode", TEXT, "", "meta.code", "how it was played: open-loop, resync, keep-order"),
+            Column("moving_time_s", FLOAT, "s", "time.duration", "when the last robot has ended its planned legs"),
+            Column("metrology_rounds", INT16, "", "meta.number", "corrections made until all are measured in tolerance"),
+            Column("metrology_time_s", FLOAT, "s", "time.duration", "all measurements and corrections"),
+            Column("configuration_time_s", FLOAT, "s", "time.duration;stat.max", "both times together"),
+            Column(
+                "min_separation_mm", FLOAT, "mm", "pos.distance;stat.min", "least distance between two robots at any instant"
+            ),
+            _COLLISIONS,
+            Column("contacts", INT32, "", "meta.number", "pairs of robots that touch at some time"),
+            Column("error_max_um", FLOAT, "um", "stat.error;stat.max", "true distance from its place of the robot furthest"),
+            Column("is_within_tolerance", BOOL, "", "meta.code", "whether the last measurement found all in tolerance"),
+        ),
+        key=(*_VISIT_KEY, "path"),
+        order=(*_VISIT_KEY, "path"),
+    ),
+    Table(
         "unallocated",
         "a science target that allocation did not complete",
         (

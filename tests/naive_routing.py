@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from survey_sim.motion import alone_time_s
 
@@ -155,3 +155,47 @@ def time_around_s(plate, start_mm, theta_deg, goal_mm, is_counted):
 
 def _is_in_reach(points, park, reach, plate_radius):
     return (np.hypot(*(points - park).T) <= reach + 1e-6) & (np.hypot(*points.T) <= plate_radius + 1e-6)
+
+
+def grid_cells(radius, pitch):
+    """(n, 2) points of a square grid in a disc, mm."""
+    axis = np.arange(-int(radius / pitch), int(radius / pitch) + 1) * pitch
+    points = np.array([(x, y) for x in axis for y in axis])
+    return points[np.hypot(*points.T) <= radius]
+
+
+def joint_components(cells, pitch, n_robot, r):
+    """Which placements of robots on cells can be turned into which: by moves of one robot at a time, to a next cell.
+
+    All placements at least r apart, and all moves that keep r on the way. Gives an array over cells, one axis a robot: the
+    same number where one can be turned into the other, -1 where two robots are too near.
+    """
+    n = len(cells)
+    gap = np.hypot(*(cells[:, None] - cells[None]).transpose(2, 0, 1))
+    legal = np.ones((n,) * n_robot, dtype=bool)
+    for a in range(n_robot):
+        for b in range(a):
+            shape = [1] * n_robot
+            shape[a] = shape[b] = n
+            legal &= (gap >= r).reshape(shape)
+    number = np.full(legal.shape, -1, dtype=np.int64)
+    number[legal] = np.arange(legal.sum())
+    rows, columns = [], []
+    for i, j in np.argwhere(np.isclose(gap, pitch)):
+        step = cells[j] - cells[i]
+        share = np.clip(((cells - cells[i]) @ step) / pitch**2, 0, 1)
+        is_clear = np.hypot(*(cells - cells[i] - share[:, None] * step).T) >= r
+        for robot in range(n_robot):
+            before, after = np.take(number, i, axis=robot), np.take(number, j, axis=robot)
+            ok = (before >= 0) & (after >= 0)
+            for axis in range(n_robot - 1):
+                shape = [1] * (n_robot - 1)
+                shape[axis] = n
+                ok &= is_clear.reshape(shape)
+            rows.append(before[ok])
+            columns.append(after[ok])
+    rows, columns = np.concatenate(rows), np.concatenate(columns)
+    graph = csr_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(legal.sum(),) * 2)
+    found = np.full(legal.shape, -1, dtype=np.int64)
+    found[legal] = connected_components(graph, directed=False)[1]
+    return found

@@ -108,7 +108,7 @@ def test_run_that_starts_from_park_passes(tmp_path: Path) -> None:
 
 
 def test_run_without_schedule_passes(run_dir: Path) -> None:
-    for table in ("exposures", "nights", "target_status", "unallocated"):
+    for table in ("executions", "exposures", "nights", "target_status", "unallocated"):
         (run_dir / f"{table}.parquet").unlink()
     assert check_run(run_dir).is_passed
 
@@ -494,6 +494,28 @@ PLANTED = {
         {},
     ),
     "unallocated miscounts": ("unallocated", replaced({"target_id": 0}, n_allocated=0), "targets", "n_allocated is not", {}),
+    # executions
+    "execution's times": (
+        "executions",
+        replaced(row(0, 0, path=START_TO_TARGET), metrology_time_s=9.0),
+        "times",
+        "configuration_time_s is not what it is when its parts are added up",
+        row(0, 0, path=START_TO_TARGET),
+    ),
+    "execution of no path": (
+        "executions",
+        replaced(row(0, 0, path=START_TO_TARGET), visit_id=77),
+        "schema",
+        "no row of paths has this",
+        {"table": "executions"},
+    ),
+    "execution's contacts": (
+        "executions",
+        replaced(row(0, 0, path=START_TO_TARGET), contacts=2),
+        "separation",
+        "more pairs in contact",
+        {"value": 2.0, "limit": 1.0},
+    ),
     # separation
     "too near at rest": (
         "robots",
@@ -944,7 +966,7 @@ def test_configuration_times_without_paths(run_dir: Path) -> None:
     assert found(run_dir, "exposures", "is absent, and configuration times are routed", {"table": "exposure_paths"})
 
 
-_OPTIONAL = {"rejected", "unallocated", "exposures", "exposure_paths", "nights", "target_status"} | {
+_OPTIONAL = {"executions", "rejected", "unallocated", "exposures", "exposure_paths", "nights", "target_status"} | {
     "time_budget",
     "completeness",
 }

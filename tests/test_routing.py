@@ -11,7 +11,7 @@ from survey_sim.motion import leg_times_s, make_trajectories
 from survey_sim.routing import ROUTERS, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import simulate
 from tests.fields import chain, random_field
-from tests.naive_routing import pair_bound_s
+from tests.naive_routing import grid_cells, joint_components, pair_bound_s
 
 ALL = sorted(ROUTERS)
 
@@ -154,6 +154,25 @@ def test_two_that_change_places_are_near_the_least_time_of_any_motion():
     # The bound of each alone, 6.4 s, cannot be had.
     assert path.lower_bound_s < 6.5
     assert path.configuration_time_s < 1.1 * (18 + 4.5 * np.pi) / 4
+
+
+@pytest.mark.parametrize(("n", "radius", "pitch"), [(2, 8.0, 2.0), (2, 12.0, 3.0), (3, 12.0, 2.4)])
+def test_what_exhaustive_search_reaches_is_reached(n, radius, pitch):
+    """Robots on a plate hardly larger than they are: all placements on a grid, and all moves of one robot at a time."""
+    cells = grid_cells(radius, pitch)
+    component = joint_components(cells, pitch, n, 9.0)
+    placements = np.argwhere(component >= 0)
+    plate = _plate(cells[placements[0]], patrol=60.0, plate_radius=radius)
+    rng = np.random.default_rng(1)
+    n_connected = 0
+    for _ in range(25):
+        a, b = placements[rng.integers(len(placements), size=2)]
+        path = _route(plate, cells[a], cells[b])
+        _assert_legal(plate, cells[a], cells[b], path)
+        if component[tuple(a)] == component[tuple(b)]:
+            n_connected += 1
+            assert (path.reason == 0).all(), (cells[a].tolist(), cells[b].tolist())
+    assert n_connected >= 5
 
 
 def _packed(rng, n, radius):

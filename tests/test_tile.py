@@ -10,7 +10,9 @@ from survey_sim.allocation import AllocationSettings, FieldTargets
 from survey_sim.errors import InputError
 from survey_sim.geometry import plate_to_sky
 from survey_sim.instrument import load_instrument, make_plate
+from survey_sim.motion import Legs
 from survey_sim.routing import RoutingSettings
+from survey_sim.simulation import SimulationSettings, execute
 from survey_sim.survey.tile import TileJob, magnitude_groups, simulate_tile, stream
 
 CENTRE = (150.0, -30.0)
@@ -113,3 +115,27 @@ def test_random_streams_differ_by_every_key() -> None:
     draws = [stream(seed, stage, *rest).integers(2**62) for seed, stage, *rest in keys]
     assert len(set(draws)) == len(keys)
     assert stream(1, "a", "b", 0).integers(2**62) == draws[0]
+
+
+def test_paths_are_played_with_errors_if_there_are_any() -> None:
+    """A row a path, as `execute` gives it from the same stream; without errors there are none, and nothing else differs."""
+    job = _job(100, visits=2)
+    errors = SimulationSettings(leg_speed_scatter_frac=0.05, slip_deg=0.5, mode="resync")
+    plain, made = simulate_tile(job), simulate_tile(replace(job, simulation=errors))
+    assert plain["executions"].is_empty()
+    assert all(plain[name].equals(made[name]) for name in plain if name != "executions")
+    executions = made["executions"]
+    assert executions.select("visit_id", "path").equals(made["paths"].select("visit_id", "path"))
+    assert set(executions["mode"]) == {"resync"}
+    legs = made["legs"].filter(visit_id=0, path="start_to_target")
+    robot = (legs["robot_id"] - 1).cast(pl.Int32).to_numpy()
+    columns = ("leg", "start_s", "rotate_deg", "dx_mm", "dy_mm", "precise_mm", "x_mm", "y_mm", "theta_deg")
+    routed = Legs(robot, *(legs[name].to_numpy() for name in columns))
+    rng = stream(job.seed, "simulation", job.survey, job.tile_id, 0, "start_to_target")
+    done = execute(job.plate, job.plate.park_mm, routed, errors, rng)
+    row = executions.row(0, named=True)
+    assert row["path"] == "start_to_target"
+    for name in ("moving_time_s", "metrology_rounds", "configuration_time_s", "min_separation_mm", "contacts"):
+        assert row[name] == getattr(done, name)
+    assert row["error_max_um"] == done.error_um.max()
+    assert row["moving_time_s"] != made["paths"]["configuration_time_s"][0]

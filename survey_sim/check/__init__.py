@@ -30,14 +30,15 @@ targets
     targets of all tiles that are held in fewer, and in how many.
 separation
     No two robots come nearer than `min_separation_mm` (tolerance 1e-6 mm) at any instant of a path, in closed form from
-    the legs; `paths.min_separation_mm` (inf for a plate of one robot) and `collisions` (pairs nearer than that) agree.
+    the legs; `paths.min_separation_mm` (inf for a plate of one robot) and `collisions` (pairs nearer than that) agree. In
+    `executions` (with errors of execution, which nobody can derive again) no more pairs touch than are nearer than that.
 times
     The configuration time is when the last robot comes to rest; the 95 % one is the k-th smallest rest time of the n
     robots that have legs, k = ceil(0.95 n); the median is that of the same times; all 0 where none moves. The lower bound
     is the longest time that a live, routed robot whose path ends elsewhere than it begins would need alone: the quicker
     of turning onto the line and going x then y, precise approach included, whether or not the corner is in reach. Ticks
     are the distinct `start_s` of the path's legs. `unrouted` counts live robots with a reason. A robot waits from 0 until
-    it comes to rest for good, less what it turns and goes.
+    it comes to rest for good, less what it turns and goes. Times of `executions` add up.
 visits
     Counts are of rows by `kind`; idle are live robots without target; `travel_mm` is the straight distance from where
     `start_to_target` begins, its mean, 95 % rank (as above) and maximum those of the robots with travel > 0, else 0;

@@ -20,7 +20,8 @@ SMALL = ("robots", "targets", "tiles", "visits", "paths")
 LARGE = ("allocations", "legs", "robot_times")
 EXPOSURE_LARGE = ("exposure_allocations", "exposure_legs")
 OPTIONAL = (
-    *("unallocated", "exposures", "exposure_paths", "nights", "time_budget", "completeness", "target_status", "rejected"),
+    *("executions", "unallocated", "exposures", "exposure_paths", "nights", "time_budget", "completeness"),
+    *("target_status", "rejected"),
 )
 RECORD = "run.json"
 # Parts are looked at together up to so many bytes on disk: enough to be quick, few enough to bound memory.

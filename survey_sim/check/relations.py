@@ -19,6 +19,8 @@ _CODES: dict[tuple[str, str], tuple[str, ...]] = {
     ("paths", "path"): PATHS,
     ("legs", "path"): PATHS,
     ("robot_times", "path"): PATHS,
+    ("executions", "path"): PATHS,
+    ("executions", "mode"): ("open-loop", "resync", "keep-order"),
 }
 # Reasons and states that stages name themselves: lower-case words joined by hyphens.
 _WORDS = {
@@ -39,7 +41,7 @@ _RANGES = {
 }
 _NOT_NEGATIVE = {"leg", "ticks", "crossings", "collisions", "unrouted", "wanted_visits", "patrol_radius_mm", "precise_mm"}
 # A plate of one robot has no pair, so no least separation.
-_MAY_BE_INFINITE = {("paths", "min_separation_mm"), ("exposure_paths", "min_separation_mm")}
+_MAY_BE_INFINITE = {(table, "min_separation_mm") for table in ("paths", "exposure_paths", "executions")}
 
 
 def check_table(log: FaultLog, frame: pl.DataFrame, table: str) -> bool:

@@ -4,9 +4,10 @@ import numpy as np
 import polars as pl
 
 from survey_sim.check.faults import FAULT_SCHEMA, MAX_ROWS, FaultLog
-from survey_sim.check.inputs import Constants
+from survey_sim.check.inputs import Constants, Run
 from survey_sim.check.kernels import least_separations
 from survey_sim.check.part import START_TO_TARGET, Part
+from survey_sim.check.relations import VISIT, check_refers
 
 POSITION_MM = 1e-6
 ANGLE_DEG = 1e-6
@@ -151,6 +152,18 @@ def check_times(log: FaultLog, part: Part, paths: pl.DataFrame, separations: pl.
     columns = [f"configuration_time{suffix}_s" for suffix in ("", "_p95", "_median")] + ["lower_bound_s"]
     log.compare("times", part.names.paths, both, dict.fromkeys(columns, TIME_S) | {"ticks": 0, "unrouted": 0})
     log.compare("separation", part.names.paths, both, {"min_separation_mm": POSITION_MM, "collisions": 0})
+
+
+def check_executions(log: FaultLog, run: Run) -> None:
+    """Paths played with errors are paths of the run, their times add up, and pairs in contact are nearer than allowed."""
+    if (given := run.optional.get("executions")) is None:
+        return
+    check_refers(log, given, "executions", run.paths, "paths", [*VISIT, "path"])
+    own = given.with_columns(own_configuration_time_s=pl.col("moving_time_s") + pl.col("metrology_time_s"))
+    log.compare("times", "executions", own, {"configuration_time_s": TIME_S}, "its parts are added up")
+    odd = given.filter(pl.col("contacts") > pl.col("collisions"))
+    detail = "more pairs in contact than nearer than the separation"
+    log.add("separation", "executions", odd, detail, value=pl.col("contacts"), limit=pl.col("collisions"))
 
 
 def rank_95(value: pl.Expr) -> pl.Expr:

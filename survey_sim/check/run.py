@@ -11,7 +11,15 @@ from survey_sim.check.inputs import EXPOSURE_LARGE, LARGE, Run, part_groups, rea
 from survey_sim.check.outcome import check_outcome
 from survey_sim.check.part import OF_VISITS, Part, make_part
 from survey_sim.check.relations import TILE, check_refers, unsound_tiles
-from survey_sim.check.routes import check_ends, check_legs, check_reach, check_robot_times, check_times, path_separations
+from survey_sim.check.routes import (
+    check_ends,
+    check_executions,
+    check_legs,
+    check_reach,
+    check_robot_times,
+    check_times,
+    path_separations,
+)
 from survey_sim.check.schedule import check_schedule, check_tiles
 from survey_sim.check.targets import check_targets, check_unallocated, check_wanted
 from survey_sim.check.visits import check_visits
@@ -61,6 +69,7 @@ def check_run(run_dir: Path, on_progress: Callable[[int, int], None] | None = No
     science = reached.filter("is_science").drop("is_science")
     check_wanted(log, science, run)
     check_unallocated(log, science, run)
+    check_executions(log, run)
     observed = None
     if exposures is not None:
         observed = _check_plates(log, run_dir, run, exposures, reached.drop("is_science"), plate_groups, totals, progress)

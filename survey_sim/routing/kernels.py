@@ -3,7 +3,7 @@ another file.
 """
 
 # Kernels take flat arrays and untyped scalars, and are long where splitting them would cost calls.
-# ruff: noqa: PLR0912, PLR0915, PLW3301
+# ruff: noqa: PLR0912, PLR0915, PLW3301, SIM110
 # mypy: disable-error-code="no-untyped-def"
 from heapq import heappop, heappush
 from typing import NamedTuple
@@ -265,7 +265,7 @@ def _build_knots(phys, robot, plan, n_leg, x0, y0):
         if plan.turned[m]:
             least, most = min(abs(along), abs(across)), max(abs(along), abs(across))
             # Which axis lies on the line, and so the corners of later legs, would hang on rounding.
-            if most - least < 1e-9 * most and m < n_leg - 1:
+            if most - least < 1e-9 * most and _goes_square(plan, m + 1, n_leg):
                 return np.inf
             t += np.degrees(np.arctan2(least, most)) / phys.rotation
             hx, hy = turned_heading(hx, hy, ex, ey)
@@ -310,6 +310,15 @@ def _build_knots(phys, robot, plan, n_leg, x0, y0):
         box[0], box[1] = min(box[0], kx[k]), max(box[1], kx[k])
         box[2], box[3] = min(box[2], ky[k]), max(box[3], ky[k])
     return t
+
+
+@njit(cache=True)
+def _goes_square(plan, leg, n_leg):
+    """Whether the plan has a leg without a turn from this one on."""
+    for m in range(leg, n_leg):
+        if not plan.turned[m]:
+            return True
+    return False
 
 
 @njit(cache=True)

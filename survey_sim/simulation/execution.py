@@ -34,7 +34,7 @@ SLOWEST, FASTEST = 0.5, 1.5
 
 
 class SimulationSettings(Settings):
-    """Errors of execution, the way of playing, and the metrology loop."""
+    """`[simulation]`: errors of execution, the way of playing, and the metrology loop."""
 
     mode: Literal["open-loop", "resync", "keep-order"] = "keep-order"
     # Assumed: relative scatter of speed, of each robot and of each of its legs, and of each leg's direction.
@@ -47,6 +47,11 @@ class SimulationSettings(Settings):
     # Lorente et al. 2016: 0.3-0.5 arcsec on the sky are 4.5-7.4 um.
     tolerance_um: float = Field(7.0, gt=0)
     max_rounds: int = Field(20, ge=1)
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether robots differ from what they are told; without, played paths are the routed ones."""
+        return max(self.robot_speed_scatter_frac, self.leg_speed_scatter_frac, self.slip_deg) > 0
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,18 @@ from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate
 from survey_sim.motion import Legs
 from survey_sim.schema import TABLES, TARGET_KINDS
-from survey_sim.simulation import SimulatedPath
+from survey_sim.simulation import ExecutedPath, SimulatedPath
 
 # Tables that the visits of a tile make.
-TILE_TABLES = ("visits", "allocations", "paths", "legs", "robot_times", "unallocated")
+TILE_TABLES = ("visits", "allocations", "paths", "legs", "robot_times", "executions", "unallocated")
 _LEG_COLUMNS = ("leg", "start_s", "rotate_deg", "dx_mm", "dy_mm", "precise_mm", "x_mm", "y_mm", "theta_deg")
 _PLAYED = ("configuration_time_s", "configuration_time_p95_s", "ticks", "collisions")
 # Figures of `start_to_target` that `visits` holds too.
 _OF_PATH = (*_PLAYED, "unrouted", "lower_bound_s")
+_EXECUTED = (
+    *("moving_time_s", "metrology_rounds", "metrology_time_s", "configuration_time_s"),
+    *("min_separation_mm", "collisions", "contacts", "is_within_tolerance"),
+)
 _SHORTFALLS = ("standard", "sky", "guide", "sky_region")
 
 
@@ -152,6 +156,12 @@ class TileRows:
             waiting_s=played.waiting_s,
             reason=made.reason,
         )
+
+    def add_execution(self, path: str, mode: str, done: ExecutedPath) -> None:
+        """A path of the visit that comes next, played with errors: `executions`."""
+        figures = {name: getattr(done, name) for name in _EXECUTED}
+        error_um = float(done.error_um.max(initial=0.0))
+        self._rows["executions"].add(1, **self._keys(self.n_visit), path=path, mode=mode, **figures, error_max_um=error_um)
 
     def add_visit(
         self, begins: str, held: np.ndarray, start_mm: FloatArray, end_mm: FloatArray, to_target: PlayedPath | None

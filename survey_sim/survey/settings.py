@@ -19,6 +19,7 @@ from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
 from survey_sim.routing import ROUTER_NAMES, RoutingSettings
 from survey_sim.schedule import ScheduleSettings
 from survey_sim.settings import Settings, read_toml
+from survey_sim.simulation import SimulationSettings
 from survey_sim.tiling import TilingSettings
 
 
@@ -108,6 +109,7 @@ class PipelineSettings(Settings):
     tiling: TilingSettings = TilingSettings()
     allocation: AllocationChoice = AllocationChoice()
     routing: RoutingSettings = RoutingSettings()
+    simulation: SimulationSettings = SimulationSettings()
     schedule: ScheduleSettings = ScheduleSettings()
     report: ReportSettings = ReportSettings()
     output: OutputSettings = OutputSettings()

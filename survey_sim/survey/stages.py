@@ -167,6 +167,7 @@ def parameters(run: Run, stage: str) -> dict[str, Any]:
             "dead_robots": run.plate.robot_id[~run.plate.is_live].tolist(),
             "allocation": dump["allocation"],
             "routing": dump["routing"],
+            "simulation": dump["simulation"],
             "extensions": run.settings.extensions,
             "wanted": {p.name: p.completeness_frac for p in run.settings.science},
             "tiles_per_part": dump["output"]["tiles_per_part"],
@@ -280,6 +281,7 @@ def _job(
         plate=run.plate,
         allocation=settings.allocation.of(tile["survey"]),
         routing=settings.routing,
+        simulation=settings.simulation,
         seed=settings.run.seed,
         plan=_plan(plans.get(key)) if _is_planned(run, tile["survey"]) else None,
     )

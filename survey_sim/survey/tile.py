@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from zlib import crc32
 
 import numpy as np
@@ -14,7 +14,7 @@ from survey_sim.allocation import AllocationSettings, FieldTargets, Minima, star
 from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
-from survey_sim.simulation import simulate
+from survey_sim.simulation import SimulationSettings, execute, simulate
 from survey_sim.survey.rows import PlayedPath, TileRows
 from survey_sim.tiling import Planned
 
@@ -34,6 +34,8 @@ class TileJob:
         Completeness wanted of each science programme, by name.
     plan
         What pooling planned (targets by their ids); None: as many visits as the completeness wanted of this tile needs.
+    simulation
+        Errors of execution; each path is played with them too, if there are any.
     """
 
     survey: str
@@ -46,6 +48,7 @@ class TileJob:
     routing: RoutingSettings
     seed: int
     plan: Planned | None = None
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
 
 
 @dataclass(frozen=True)
@@ -211,4 +214,8 @@ def _route(job: TileJob, rows: TileRows, path: str, start: State, goal_mm: Float
     played = simulate(job.plate, start.position_mm, start.theta_deg, routed.legs)
     made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
     rows.add_path(path, made)
+    if job.simulation.has_errors:
+        errors = _stream(job, "simulation", rows.n_visit, path)
+        executed = execute(job.plate, start.position_mm, routed.legs, job.simulation, errors)
+        rows.add_execution(path, job.simulation.mode, executed)
     return routed, made

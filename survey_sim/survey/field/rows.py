@@ -64,13 +64,13 @@ def visit_tables(
         begin, end = visit.begin("start_to_target").position_mm, visit.end("start_to_target").position_mm
         rows.add_visit(visit.start, places_of(visit.held, field), begin, end, paths["start_to_target"])
     if lost is None:
-        return {name: frame for name, frame in rows.frames().items() if name != "unallocated"}
+        return {name: frame for name, frame in rows.frames().items() if name not in {"unallocated", "executions"}}
     # What was allocated in all its visits, and is not complete now, the router has lost.
     reason = np.full(field.n_target, LostReason.UNROUTED)
     code = {member.label: member.value for member in LostReason}
     reason[np.searchsorted(field.target_id, lost["target_id"].to_numpy())] = [code[label] for label in lost["reason"]]
     rows.add_unallocated(reason)
-    return rows.frames()
+    return {name: frame for name, frame in rows.frames().items() if name != "executions"}
 
 
 def places_of(held: pl.DataFrame, field: FieldTargets) -> np.ndarray:
