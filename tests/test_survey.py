@@ -22,6 +22,8 @@ from survey_sim.schema import TABLES
 from survey_sim.survey.batches import BatchResult, Workers
 from survey_sim.survey.engine import plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
+from survey_sim.survey.stages import make_night_schedule
+from survey_sim.survey.transitions import are_parts_whole
 from tests.small_survey import write_small_survey
 
 COMMAND = [sys.executable, "-m", "survey_sim"]
@@ -199,6 +201,64 @@ def test_a_damaged_part_is_found_and_remade(pipeline: Path, finished: Path, copy
     assert _plan(pipeline, copy)["visits"] == ["a part is absent or damaged"]
     _run(pipeline, copy)
     assert _tables(copy) == _tables(finished)
+
+
+@pytest.fixture
+def plate_only(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A finished run to schedule anew, in which no way of the robots can be routed."""
+
+    def refuse(batch: object) -> None:
+        raise AssertionError("routed again")
+
+    monkeypatch.setattr("survey_sim.survey.transitions.robots.route_chains", refuse)
+    return Path(shutil.copytree(finished, tmp_path / "small"))
+
+
+def _exposure_rows(folder: Path) -> list[pl.DataFrame]:
+    return [tables.read(folder, name) for name in TABLES if name.startswith("exposure")]
+
+
+def test_nights_as_they_were_are_not_routed_again(pipeline: Path, finished: Path, plate_only: Path) -> None:
+    # 1 m of the site's height moves nothing by more than the digits that are kept.
+    make_night_schedule(_open(pipeline, plate_only, "schedule.site.height_m=1166"))
+    for own, before in zip(_exposure_rows(plate_only)[1:], _exposure_rows(finished)[1:], strict=True):
+        assert own.equals(before)
+
+
+def test_length_of_the_nights_parts_changes_no_row(pipeline: Path, finished: Path, plate_only: Path) -> None:
+    make_night_schedule(_open(pipeline, plate_only, "output.nights_per_part=1"))
+    assert len(tables.files(plate_only, "exposure_legs")) == 12
+    for own, before in zip(_exposure_rows(plate_only), _exposure_rows(finished), strict=True):
+        assert own.equals(before)
+    make_night_schedule(_open(pipeline, plate_only))
+    assert _tables(plate_only) == _tables(finished)
+
+
+def test_a_damaged_part_of_nights_is_found_and_remade(pipeline: Path, finished: Path, plate_only: Path) -> None:
+    (part,) = tables.files(plate_only, "exposure_legs")
+    run = _open(pipeline, plate_only)
+    assert are_parts_whole(run)
+    part.write_bytes(part.read_bytes()[:-7])
+    assert not are_parts_whole(run)
+    make_night_schedule(run)
+    assert _tables(plate_only) == _tables(finished)
+
+
+def test_with_a_constant_time_robots_are_not_followed(pipeline: Path, finished: Path, plate_only: Path) -> None:
+    make_night_schedule(_open(pipeline, plate_only, "schedule.configuration_s=300"))
+    assert not any(tables.files(plate_only, name) for name in TABLES if name.startswith("exposure_"))
+    assert set(tables.read(plate_only, "exposures")["configuration_time_s"]) == {300.0}
+    spent = tables.read(plate_only, "time_budget").filter(activity="configuring")["time_s"].sum()
+    assert spent > tables.read(finished, "time_budget").filter(activity="configuring")["time_s"].sum()
+
+
+def test_robots_that_were_not_routed_lose_their_targets_and_no_other(finished: Path) -> None:
+    exposures = tables.read(finished, "exposures").filter(status="observed").select("exposure_id")
+    held = tables.read(finished, "exposure_allocations").join(exposures, on="exposure_id", how="semi")
+    assert held["missed_target_id"].is_not_null().any()
+    science = held.filter(kind="science").group_by("target_id").len("n")
+    status = tables.read(finished, "target_status").filter(pl.col("n_observed") > 0)
+    assert dict(science.iter_rows()) == dict(status.select("target_id", "n_observed").iter_rows())
 
 
 def test_parts_of_tiles_that_are_gone_are_removed(pipeline: Path, copy: Path) -> None:
