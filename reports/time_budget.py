@@ -1,7 +1,7 @@
 """Time budget.
 
 Left: hours between twilights, by night, month or quarter of a year: shutter open for each survey; slews, configuration,
-readout and calibration; weather; and the rest, with no field to observe or given to engineering. Right: what a pointing
+readout and calibration; weather; engineering; and the rest, with no field to observe. Right: what a pointing
 takes before its shutter opens, the median and the range of 90 % of the pointings: slew, configuration and readout of
 the last exposure go on together, calibration follows.
 """
@@ -45,7 +45,11 @@ def _draw_nights(axes: Axes, run: RunTables) -> None:
         .agg(pl.col("exposure_s").sum())
         .join(nights.select("night", "evening"), on="night")
     )
-    total = nights.group_by("evening").agg(pl.col("dark_s", "lost_s", "overhead_s", "exposing_s").sum()).sort("evening")
+    total = (
+        nights.group_by("evening")
+        .agg(pl.col("dark_s", "lost_s", "engineering_s", "overhead_s", "exposing_s").sum())
+        .sort("evening")
+    )
     begins = total["evening"].to_list()
     place = dates.date2num(begins)
     width = np.diff([*place, dates.date2num(_next(begins[-1], step))])
@@ -59,6 +63,7 @@ def _draw_nights(axes: Axes, run: RunTables) -> None:
         parts.append((f"{survey}: shutter open", spent.to_numpy(), colour, ""))
     parts.append(("slew, configuration, ...", total["overhead_s"].to_numpy(), OVERHEAD, ""))
     parts.append(("weather", total["lost_s"].to_numpy(), WEATHER, "////"))
+    parts.append(("engineering", total["engineering_s"].to_numpy(), UNUSED, "...."))
     used = sum(part[1] for part in parts)
     parts.append(("not used", (total["dark_s"].to_numpy() - used).clip(min=0.0), UNUSED, ""))
     for label, seconds, colour, hatch in parts:

@@ -249,4 +249,16 @@ def _night_tables(
         "n_exposure": np.full(N_NIGHT, len(pointings) // N_NIGHT),
         **{f"completeness_frac_{name}": (night + 1) / N_NIGHT * 0.6 for name in programmes},
     }
-    return {"exposures": pl.DataFrame(pointings) if pointings else tables.empty("exposures"), "nights": pl.DataFrame(nights)}
+    budget = {"year": [2015, 2016, 2016], "survey": [None, None, "taipan"], "activity": ["idle", "idle", "exposing"]}
+    counted = [
+        {"programme": name, "survey": "any", "quantity": quantity, "low": low, "high": low + 1.0}
+        | {"n_target": 10, "n_complete": 6, "completeness_frac": 0.6}
+        for name in programmes
+        for quantity, low in (("year", 2016.0), ("mag", 10.0))
+    ]
+    return {
+        "exposures": pl.DataFrame(pointings) if pointings else tables.empty("exposures"),
+        "nights": pl.DataFrame(nights),
+        "time_budget": pl.DataFrame({**budget, "time_s": [3600.0, 7200.0, 1800.0]}),
+        "completeness": pl.DataFrame(counted) if counted else tables.empty("completeness"),
+    }

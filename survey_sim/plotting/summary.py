@@ -13,6 +13,19 @@ from survey_sim.plotting.run import ProgrammeRow, RunTables, Visit, evening_date
 # Configuration time that surveys charge every pointing, s: TAIPAN's own simulator; also the most that TAIPAN requires
 # (Goodwin et al. 2014, Table 2).
 CONSTANT_S = 300.0
+# Activities of the table `time_budget`, in the order in which they are shown.
+ACTIVITIES = (
+    *("exposing", "reading", "slewing", "configuring", "calibrating"),
+    *("weather", "engineering", "idle"),
+)
+# Quantities of the table `completeness`, each with its words.
+QUANTITIES = {
+    "year": "By the end of the year",
+    "mag": "Magnitude",
+    "priority": "Priority",
+    "density": "Targets per square degree",
+    "latitude": "Galactic latitude (deg)",
+}
 
 
 @dataclass(frozen=True)
@@ -83,22 +96,35 @@ class NightNumbers:
     lost_h: float
     exposing_h: float
     overhead_h: float
+    engineering_h: float
     n_pointing: int
     n_failed: int
 
     @property
     def unused_h(self) -> float:
         """Hours neither lost nor spent."""
-        return max(0.0, self.dark_h - self.lost_h - self.exposing_h - self.overhead_h)
+        return max(0.0, self.dark_h - self.lost_h - self.engineering_h - self.exposing_h - self.overhead_h)
 
 
 @dataclass(frozen=True)
 class Summary:
-    """All numbers of a run's first screen and totals; `nights` is None if none were scheduled."""
+    """All numbers of a run's page.
+
+    Attributes
+    ----------
+    nights
+        None if none were scheduled.
+    budget
+        Activity, survey ("" for none) and hours by year.
+    bins
+        By quantity and programme: lower and upper edge, targets and completeness of each bin.
+    """
 
     programmes: list[ProgrammeNumbers]
     surveys: list[SurveyNumbers]
     nights: NightNumbers | None
+    budget: list[tuple[str, str, dict[int, float]]]
+    bins: dict[str, dict[str, list[tuple[float, float, int, float]]]]
     visits: dict[str, tuple[Visit, float]]
 
     @property
@@ -113,6 +139,8 @@ def summarise(run: RunTables) -> Summary:
         programmes=[_programme(run, row) for row in run.programmes],
         surveys=[_survey(run, survey) for survey in run.surveys],
         nights=_nights(run),
+        budget=_budget(run),
+        bins={quantity: _bins(run, quantity) for quantity in QUANTITIES},
         visits=_named_visits(run),
     )
 
@@ -166,7 +194,9 @@ def _nights(run: RunTables) -> NightNumbers | None:
     nights = run.nights
     if nights.is_empty():
         return None
-    hours = {name: float(nights[f"{name}_s"].sum()) / 3600.0 for name in ("dark", "lost", "exposing", "overhead")}
+    hours = {
+        name: float(nights[f"{name}_s"].sum()) / 3600.0 for name in ("dark", "lost", "engineering", "exposing", "overhead")
+    }
     return NightNumbers(
         n_night=len(nights),
         first=_date(nights["evening_mjd"][0]),
@@ -175,9 +205,26 @@ def _nights(run: RunTables) -> NightNumbers | None:
         lost_h=hours["lost"],
         exposing_h=hours["exposing"],
         overhead_h=hours["overhead"],
+        engineering_h=hours["engineering"],
         n_pointing=len(run.exposures),
         n_failed=int((run.exposures["status"] != "observed").sum()),
     )
+
+
+def _budget(run: RunTables) -> list[tuple[str, str, dict[int, float]]]:
+    """Activity, survey ("" for none) and hours by year, of the table `time_budget`."""
+    order = {name: place for place, name in enumerate(ACTIVITIES)}
+    rows: dict[tuple[int, str, str], dict[int, float]] = {}
+    for year, survey, activity, time_s in run.scan("time_budget").collect().iter_rows():
+        rows.setdefault((order.get(activity, len(order)), activity, survey or ""), {})[year] = time_s / 3600.0
+    return [(activity, survey, hours) for (_, activity, survey), hours in sorted(rows.items())]
+
+
+def _bins(run: RunTables, quantity: str) -> dict[str, list[tuple[float, float, int, float]]]:
+    """By programme: lower and upper edge, targets and completeness of each bin of a quantity."""
+    rows = run.scan("completeness").filter(quantity=quantity).collect()
+    columns = ("low", "high", "n_target", "completeness_frac")
+    return {name[0]: own.select(columns).rows() for name, own in rows.group_by("programme", maintain_order=True)}
 
 
 def _named_visits(run: RunTables) -> dict[str, tuple[Visit, float]]:

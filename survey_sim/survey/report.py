@@ -17,6 +17,7 @@ from survey_sim import tables
 from survey_sim.folders import data_folder
 from survey_sim.plotting import RunTables, Script, Summary, draw_script, find_scripts, summarise
 from survey_sim.plotting.style import programme_lines, survey_colours
+from survey_sim.plotting.summary import QUANTITIES
 from survey_sim.schema import TABLES
 from survey_sim.survey.field import view_field
 
@@ -76,6 +77,7 @@ def make_report(run_dir: Path) -> Path:
     text = page.render(
         run=run,
         summary=summary,
+        quantities=QUANTITIES,
         players=_write_players(run, summary, folder),
         figures=figures,
         style=Markup((reports / STYLE).read_text(encoding="utf-8")),
