@@ -27,6 +27,10 @@ class Commands(typer.core.TyperGroup):
             return super().invoke(ctx)
         except InputError as failure:
             _fail(str(failure), BAD_INPUT)
+        except BrokenPipeError:
+            raise
+        except OSError as failure:
+            _fail(f"{failure.filename or 'system'}: {failure.strerror or failure}", BAD_INPUT)
         except KeyboardInterrupt:
             _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
 

@@ -102,19 +102,32 @@ def write_bytes(content: bytes, path: Path, aside: Path | None = None) -> None:
         The disk is full or the place cannot be written; nothing is left behind.
     """
     temporary = (aside or path.parent) / f".{path.name}.{os.getpid()}{TEMPORARY}"
+    make_folder(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as failure:
-        rule = f"cannot be written: {failure.strerror or failure}"
-        raise InputError(rule, file=path, remedy="free space or choose another --out; what is done is kept") from None
+        raise unwritable(path, failure) from None
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it; InputError if the place cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as failure:
+        raise unwritable(folder, failure) from None
+
+
+def unwritable(path: Path, failure: Exception) -> InputError:
+    """The error of a file that the disk, or its rights, refuse."""
+    rule = f"cannot be written: {getattr(failure, 'strerror', None) or failure}"
+    return InputError(rule, file=path, remedy="free space or choose another --out; what is done is kept")
 
 
 def clean_up(folder: Path) -> None:

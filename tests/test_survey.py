@@ -6,10 +6,7 @@ import platform
 import shutil
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +21,8 @@ from survey_sim.survey.engine import plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.stages import make_night_schedule
 from survey_sim.survey.transitions import are_parts_whole
+from tests.faults import COMMAND, cluster, table_bytes
 from tests.small_survey import write_small_survey
-
-COMMAND = [sys.executable, "-m", "survey_sim"]
 
 
 def _open(pipeline: Path, out: Path, *changes: str, workers: int = 0) -> Run:
@@ -42,11 +38,6 @@ def _run(pipeline: Path, out: Path, *changes: str, workers: int = 0) -> Run:
 
 def _plan(pipeline: Path, out: Path, *changes: str) -> dict[str, list[str]]:
     return dict(plan_stages(_open(pipeline, out, *changes)))
-
-
-def _tables(folder: Path) -> dict[str, bytes]:
-    """Bytes of all tables of a run."""
-    return {str(path.relative_to(folder)): path.read_bytes() for name in TABLES for path in tables.files(folder, name)}
 
 
 @pytest.fixture(scope="module")
@@ -96,20 +87,20 @@ def test_run_record_holds_what_a_reader_needs(finished: Path, pipeline: Path) ->
 
 
 def test_two_workers_write_the_same_bytes(pipeline: Path, finished: Path, tmp_path: Path) -> None:
-    assert _tables(_run(pipeline, tmp_path / "two", workers=2).folder) == _tables(finished)
+    assert table_bytes(_run(pipeline, tmp_path / "two", workers=2).folder) == table_bytes(finished)
 
 
 def test_a_dask_cluster_writes_the_same_bytes(pipeline: Path, finished: Path, tmp_path: Path) -> None:
-    with _cluster(tmp_path) as address:
+    with cluster(tmp_path) as (address, _):
         out = tmp_path / "cluster"
         command = [*COMMAND, "run", str(pipeline), "--out", str(out), "--scheduler", address, "--quiet"]
         subprocess.run(command, check=True, timeout=300)
-    assert _tables(out) == _tables(finished)
+    assert table_bytes(out) == table_bytes(finished)
 
 
 def test_the_order_of_catalogue_rows_does_not_matter(finished: Path, tmp_path: Path) -> None:
     shuffled = write_small_survey(tmp_path / "sky", shuffle=5)
-    assert _tables(_run(shuffled, tmp_path / "out").folder) == _tables(finished)
+    assert table_bytes(_run(shuffled, tmp_path / "out").folder) == table_bytes(finished)
 
 
 def test_part_size_does_not_change_a_row(pipeline: Path, finished: Path, tmp_path: Path) -> None:
@@ -132,7 +123,7 @@ def test_killed_run_goes_on_and_ends_with_the_same_bytes(pipeline: Path, finishe
     kept = {path: path.stat().st_mtime_ns for path in manifests.glob("*.json")}
     assert 2 <= len(kept) < 7
     _run(pipeline, out)
-    assert _tables(out) == _tables(finished)
+    assert table_bytes(out) == table_bytes(finished)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert not list(out.rglob("*.tmp"))
 
@@ -200,7 +191,7 @@ def test_a_damaged_part_is_found_and_remade(pipeline: Path, finished: Path, copy
     spoil(part)
     assert _plan(pipeline, copy)["visits"] == ["a part is absent or damaged"]
     _run(pipeline, copy)
-    assert _tables(copy) == _tables(finished)
+    assert table_bytes(copy) == table_bytes(finished)
 
 
 @pytest.fixture
@@ -231,7 +222,7 @@ def test_length_of_the_nights_parts_changes_no_row(pipeline: Path, finished: Pat
     for own, before in zip(_exposure_rows(plate_only), _exposure_rows(finished), strict=True):
         assert own.equals(before)
     make_night_schedule(_open(pipeline, plate_only))
-    assert _tables(plate_only) == _tables(finished)
+    assert table_bytes(plate_only) == table_bytes(finished)
 
 
 def test_a_damaged_part_of_nights_is_found_and_remade(pipeline: Path, finished: Path, plate_only: Path) -> None:
@@ -241,7 +232,7 @@ def test_a_damaged_part_of_nights_is_found_and_remade(pipeline: Path, finished: 
     part.write_bytes(part.read_bytes()[:-7])
     assert not are_parts_whole(run)
     make_night_schedule(run)
-    assert _tables(plate_only) == _tables(finished)
+    assert table_bytes(plate_only) == table_bytes(finished)
 
 
 def test_with_a_constant_time_robots_are_not_followed(pipeline: Path, finished: Path, plate_only: Path) -> None:
@@ -272,28 +263,6 @@ def test_a_second_run_in_the_same_folder_is_refused(pipeline: Path, copy: Path) 
     run = _open(pipeline, copy)
     with run.locked(), pytest.raises(ValueError, match="another run is at work"), _open(pipeline, copy).locked():
         pass
-
-
-@contextmanager
-def _cluster(folder: Path) -> Iterator[str]:
-    """A dask scheduler and two workers as separate processes on this machine; gives the address."""
-    note = folder / "scheduler.json"
-    python = [sys.executable, "-m"]
-    scheduler = [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
-    worker = [*python, "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
-    where = ["--scheduler-file", str(note)]
-    with open(folder / "cluster.log", "w") as log:
-        processes = [subprocess.Popen([*scheduler, *where], stdout=log, stderr=log)]
-        try:
-            while not note.exists():
-                time.sleep(0.05)
-            processes += [subprocess.Popen([*worker, *where], stdout=log, stderr=log) for _ in range(2)]
-            yield json.loads(note.read_text())["address"]
-        finally:
-            for process in reversed(processes):
-                process.terminate()
-            for process in processes:
-                process.wait(timeout=30)
 
 
 def test_cpu_time_is_counted_once() -> None:

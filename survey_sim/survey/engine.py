@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import runpy
 import sqlite3
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -22,6 +22,7 @@ from doit.task import Task, dict_to_task
 from survey_sim.folders import data_folder
 from survey_sim.survey.run import Run
 from survey_sim.survey.store import Store
+from survey_sim.tables import checksum, unwritable
 
 
 class Unchanged:
@@ -60,6 +61,29 @@ class Unchanged:
         return f"settings changed: {shown}" + (f" and {len(self.changed) - 4} more" if len(self.changed) > 4 else "")
 
 
+class Whole:
+    """doit's `uptodate` check that tables hold what the task wrote, byte for byte."""
+
+    def __init__(self, files: Iterable[Path]) -> None:
+        self.files = [path for path in files if path.suffix == ".parquet"]
+        self.damaged: list[str] = []
+
+    def configure_task(self, task: Task) -> None:
+        """Called by doit: what to remember when the task succeeds."""
+        task.value_savers.append(lambda: {"sha256": {path.name: checksum(path) for path in self.files}})
+
+    def __call__(self, task: Task, values: Mapping[str, Any]) -> bool:
+        """Whether all are as they were written; called by doit. Absent files are doit's own to notice."""
+        known = values.get("sha256", {})
+        there = [path for path in self.files if path.is_file()]
+        self.damaged = [path.name for path in there if checksum(path) != known.get(path.name)]
+        return not self.damaged
+
+    def reason(self) -> str:
+        """Why the check failed, in words."""
+        return f"damaged: {', '.join(self.damaged)}"
+
+
 @dataclass(frozen=True)
 class Stage:
     """One stage as a make-style task.
@@ -91,7 +115,7 @@ class Stage:
                 "actions": None,
                 "file_dep": [str(path) for path in self.needs],
                 "targets": [str(path) for path in self.makes],
-                "uptodate": [*self.unchanged, self.is_whole],
+                "uptodate": [*self.unchanged, Whole(self.makes), self.is_whole],
             }
         )
 
@@ -206,7 +230,7 @@ def _status(run: Run, stage: Stage) -> tuple[list[str], Task]:
 def _reasons(stage: Stage, found: Mapping[str, Any]) -> Iterator[str]:
     """doit's reasons, in words."""
     for check, *_ in found.get("uptodate_false", []):
-        yield check.reason() if isinstance(check, Unchanged) else "a part is absent or damaged"
+        yield check.reason() if isinstance(check, Unchanged | Whole) else "a part is absent or damaged"
     for key, words in (("changed_file_dep", "changed"), ("missing_target", "absent")):
         if found.get(key):
             yield f"{words}: {', '.join(sorted(Path(name).name for name in found[key]))}"
@@ -224,7 +248,10 @@ def _memory(run: Run) -> Iterator[Dependency]:
         path.unlink(missing_ok=True)
         memory = Dependency(SqliteDB, str(path))
     yield memory
-    memory.close()
+    try:
+        memory.close()
+    except sqlite3.OperationalError as failure:
+        raise unwritable(path, failure) from None
 
 
 def _digest(value: Any) -> str:

@@ -74,21 +74,18 @@ class Run:
         A folder in which nothing was done goes away again.
         """
         made = [folder for folder in (self.state, self.folder, *self.folder.parents) if not folder.exists()]
-        try:
-            self.state.mkdir(parents=True, exist_ok=True)
-            with (self.state / "lock").open("w") as lock:
-                _lock(lock, self.folder)
+        tables.make_folder(self.state)
+        with _lock(self.state / "lock", self.folder):
+            try:
                 tables.clean_up(self.folder)
                 yield
-        except PermissionError as failure:
-            raise InputError("cannot be written", file=failure.filename, remedy="choose another --out") from None
-        finally:
-            if made and not (self.folder / "run.json").exists():
-                for file in ("lock", "engine.db"):
-                    (self.state / file).unlink(missing_ok=True)
-                with suppress(OSError):
-                    for folder in made:
-                        folder.rmdir()
+            finally:
+                if made and not (self.folder / "run.json").exists():
+                    for file in ("lock", "engine.db"):
+                        (self.state / file).unlink(missing_ok=True)
+                    with suppress(OSError):
+                        for folder in made:
+                            folder.rmdir()
 
     def record(self, **entries: Any) -> None:
         """Set entries of run.json; entries that are mappings are merged."""
@@ -167,10 +164,14 @@ def code_digest(*rooms: str) -> str:
     return digest.hexdigest()
 
 
-def _lock(file: IO[str], folder: Path) -> None:
+def _lock(path: Path, folder: Path) -> IO[str]:
+    """The lock's file, open and held until it is closed."""
     try:
+        file = path.open("w")
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InputError(
-            "another run is at work in this folder", file=folder, remedy="wait for it, or choose another --out"
-        ) from None
+        rule = "another run is at work in this folder"
+        raise InputError(rule, file=folder, remedy="wait for it, or choose another --out") from None
+    except OSError as failure:
+        raise tables.unwritable(path, failure) from None
+    return file

@@ -236,16 +236,13 @@ def plans_path(run: Run) -> Path:
 def are_parts_whole(run: Run) -> bool:
     """Whether every part that the manifests name is there, byte for byte."""
     manifests = sorted((run.state / "parts").glob("*.json"))
-    return all(_is_whole(run, json.loads(manifest.read_text())) for manifest in manifests)
+    return all(_is_whole(run, _kept(manifest)) for manifest in manifests)
 
 
 def is_whole(run: Run, batch: Batch) -> bool:
     """Whether the parts of a batch are there, made from the same input, byte for byte."""
-    manifest = _manifest(run, batch.name)
-    if not manifest.is_file():
-        return False
-    kept = json.loads(manifest.read_text())
-    return kept["signature"] == batch.signature and _is_whole(run, kept)
+    kept = _kept(_manifest(run, batch.name))
+    return kept.get("signature") == batch.signature and _is_whole(run, kept)
 
 
 def _warn(run: Run, stage: str, warnings: Sequence[str]) -> None:
@@ -316,7 +313,6 @@ def _keep(run: Run, result: BatchResult) -> None:
     """Write the parts of a batch, and last the manifest that says they are whole."""
     for table, content in result.parts.items():
         path = _part(run, table, result.name)
-        path.parent.mkdir(parents=True, exist_ok=True)
         tables.write_bytes(content, path, aside=path.parent.parent)
     kept = {
         "name": result.name,
@@ -327,7 +323,18 @@ def _keep(run: Run, result: BatchResult) -> None:
     tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), _manifest(run, result.name))
 
 
+def _kept(manifest: Path) -> dict[str, Any]:
+    """A manifest; one that is absent or damaged says nothing, and its parts are made again."""
+    try:
+        kept = json.loads(manifest.read_bytes())
+    except (FileNotFoundError, ValueError):
+        return {}
+    return kept if isinstance(kept, dict) and kept.keys() >= {"name", "signature", "sha256"} else {}
+
+
 def _is_whole(run: Run, kept: dict[str, Any]) -> bool:
+    if not kept:
+        return False
     parts = {table: _part(run, table, kept["name"]) for table in kept["sha256"]}
     return all(path.is_file() and tables.checksum(path) == kept["sha256"][table] for table, path in parts.items())
 

@@ -88,7 +88,7 @@ def write_folder(
         "instrument": plate.instrument.model_dump(mode="json"),
         **record,
     }
-    out.mkdir(parents=True, exist_ok=True)
+    tables.make_folder(out)
     _clear(out)
     for name, content in encoded.items():
         tables.write_bytes(content, table_path(out, name), aside=out)
