@@ -31,6 +31,11 @@ class Commands(typer.core.TyperGroup):
             raise
         except OSError as failure:
             _fail(f"{failure.filename or 'system'}: {failure.strerror or failure}", BAD_INPUT)
+        except BaseException as failure:
+            if not _is_of_damaged_table(failure):
+                raise
+            text = " ".join(str(failure).split())[:200]
+            _fail(f"a table cannot be read: {text}\n  remedy: run the pipeline again: it remakes what is damaged", BAD_INPUT)
         except KeyboardInterrupt:
             _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
 
@@ -241,6 +246,12 @@ def _interrupt(signum: int, frame: Any) -> None:
 def _fail(message: str, code: int) -> NoReturn:
     print(f"error: {message}", file=sys.stderr)
     sys.exit(code)
+
+
+def _is_of_damaged_table(failure: BaseException) -> bool:
+    """Whether polars gave up on a file; a panic of its own is not even an Exception."""
+    polars = sys.modules.get("polars")
+    return polars is not None and isinstance(failure, polars.exceptions.ComputeError | polars.exceptions.PanicException)
 
 
 def _echo_items(items: dict[str, Any]) -> None:

@@ -43,6 +43,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"is not UTF-8 text: {failure.reason}", file=path, remedy="save it as UTF-8") from None
     except tomllib.TOMLDecodeError as failure:
         raise InputError(f"is not TOML: {failure}", file=path, remedy="mend the line named") from None
+    except (RecursionError, ValueError) as failure:  # nested without end; numbers that the parser cannot hold
+        raise InputError(f"is no sound TOML: {failure}", file=path, remedy="mend its values") from None
+    except OSError as failure:
+        raise InputError(f"cannot be read: {failure.strerror}", file=path, remedy="check the path and its rights") from None
 
 
 def _input_error(model: type[Settings], failure: ValidationError, file: str | Path | None, section: str) -> InputError:

@@ -28,6 +28,8 @@ _VOPARQUET_CONTENT = b"IVOA.VOTable-Parquet.content"
 _SCHEMA_VERSION = b"survey_sim.schema_version"
 _ROW_GROUP = 262_144
 TEMPORARY = ".tmp"
+# What begins a formula in a spreadsheet; not the sign of a name such as +20 1234, which is no formula alone.
+_FORMULA = r"^(?:[=@\t\r]|[+-].*[=(|!@+*/])"
 
 _VOTABLE_TYPE = {
     pl.Int8: "short",
@@ -114,6 +116,19 @@ def write_bytes(content: bytes, path: Path, aside: Path | None = None) -> None:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def csv_bytes(frame: pl.DataFrame) -> bytes:
+    """Rows as CSV. Text that a spreadsheet would take for a formula gets an apostrophe before it, so that it stays text."""
+    text = [name for name, dtype in frame.schema.items() if dtype == pl.String]
+    is_formula = {name: pl.col(name).str.contains(_FORMULA) for name in text}
+    return (
+        frame.with_columns(
+            pl.when(is_formula[name]).then(pl.concat_str(pl.lit("'"), name)).otherwise(name).alias(name) for name in text
+        )
+        .write_csv()
+        .encode()
+    )
 
 
 def make_folder(folder: Path) -> None:

@@ -87,7 +87,7 @@ def encode(frame: pl.DataFrame, table: str, form: str) -> bytes:
     declared = TABLES[table]
     columns = [column for name in frame.columns if (column := declared.column(name)) is not None]
     if form == "csv":
-        return frame.write_csv().encode()
+        return tables.csv_bytes(frame)
     if form == "fits":
         return _fits(frame, table, columns)
     serialisation: Literal["tabledata", "binary"] = "tabledata" if len(frame) <= N_TEXT_ROWS_MAX else "binary"

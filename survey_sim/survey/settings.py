@@ -178,7 +178,8 @@ def load_pipeline(path: Path, changes: Sequence[str] = (), values_set: Mapping[s
         Missing or malformed file, unknown section or key, wrong type, unit or range.
     """
     values = read_toml(path)
-    values.setdefault("run", {}).setdefault("name", path.stem)
+    if isinstance(run := values.setdefault("run", {}), dict):
+        run.setdefault("name", path.stem)
     for key, value in (values_set or {}).items():
         _set(values, key, value, place="set")
     for change in changes:
@@ -240,10 +241,10 @@ def _set(values: dict[str, Any], key: str, value: Any, place: str) -> None:
 
 def _named(entries: list[Mapping[str, Any]], name: str, key: str, place: str) -> Mapping[str, Any]:
     """The entry of `[[programme]]` with this name."""
-    for entry in entries:
-        if entry.get("name") == name:
-            return entry
-    known = [str(entry.get("name")) for entry in entries]
+    named = {str(entry.get("name")): entry for entry in entries if isinstance(entry, dict)}
+    if name in named:
+        return named[name]
+    known = list(named)
     raise InputError(f"{key!r}: no entry is named {name!r}", place=place, remedy=did_you_mean(name, known))
 
 
@@ -251,5 +252,7 @@ def _value(text: str) -> Any:
     """A TOML value; a bare word is text."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, KeyError):
         return text
+    except (RecursionError, ValueError) as failure:
+        raise InputError(f"cannot read {text!r}: {failure}", place="--set", remedy="write a TOML value") from None

@@ -75,7 +75,7 @@ def compare_routers(
     visits = [read_allocation(path, given) for path in find_files(sources, "allocation")]
     check_plates(visits)
     rows = pl.DataFrame([row for settings in chosen for row in _rows(settings, visits, seed)])
-    tables.write_bytes(rows.write_csv().encode(), out / "routers.csv")
+    tables.write_bytes(tables.csv_bytes(rows), out / "routers.csv")
     _draw(rows, out)
     return RouterComparison(rows, out / "routers.csv")
 

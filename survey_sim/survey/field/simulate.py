@@ -108,7 +108,7 @@ def simulate_field(
         centre_deg = centre_of(visits[0].params)
         targets = allocated_targets([_reached(visit) for visit in visits], plate, centre_deg)
     frames = visit_tables(visits, field_targets(targets))
-    texts = {f"{name}.csv": frames[name].write_csv().encode() for name in ("paths", "robot_times")}
+    texts = {f"{name}.csv": tables.csv_bytes(frames[name]) for name in ("paths", "robot_times")}
     if stop_at_s is not None:
         stopped = standing_at(visits[-1], PATHS[0], stop_at_s)
         texts[f"{XML}/{STOPPED_FILE}"] = to_bytes(positions_document(plate, stopped))

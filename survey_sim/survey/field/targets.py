@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import polars as pl
 
 from survey_sim.allocation import FieldTargets
 from survey_sim.errors import InputError
-from survey_sim.exchange import CATALOGUE, AllocatedVisit, Document, RoutedVisit, read, read_columns
+from survey_sim.exchange import CATALOGUE, N_BYTES_MAX, AllocatedVisit, Document, RoutedVisit, read, read_columns
 from survey_sim.geometry import plate_to_sky, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.region import healpix_29
@@ -125,15 +127,39 @@ def _read(path: Path) -> pl.DataFrame:
     try:
         if form == "fits":
             return _read_fits(path)
-        frame = pl.read_csv(path, infer_schema_length=None) if form == "csv" else pl.read_parquet(path)
-    except (pl.exceptions.PolarsError, OSError, ValueError) as failure:
-        if isinstance(failure, InputError):
-            raise
-        raise InputError(f"is not readable {form.upper()}: {failure}", file=path, remedy="write the file again") from None
+        frame = _read_csv(path) if form == "csv" else _read_parquet(path)
+    except InputError:
+        raise
+    except Exception as failure:  # the formats' libraries raise anything on a damaged file: it is always the file's fault
+        text = " ".join(str(failure).split())[:200] or type(failure).__name__
+        raise InputError(f"is not readable {form.upper()}: {text}", file=path, remedy="write the file again") from None
     known = [column.name for column in CATALOGUE.tables[0].columns if column.name in frame.columns]
     if "target_id" not in known:
         raise InputError("no column 'target_id'", file=path, remedy=f"has {', '.join(frame.columns)}")
     return _typed(frame.select(known), path)
+
+
+def _read_csv(path: Path) -> pl.DataFrame:
+    with path.open(newline="", encoding="utf-8") as file:
+        names = next(csv.reader(file), [])
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError("two columns have this name", file=path, place=twice[0], remedy="rename one of them")
+    return pl.read_csv(path, infer_schema_length=None)
+
+
+def _read_parquet(path: Path) -> pl.DataFrame:
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import; and, unlike polars, sound on damaged files
+
+    with pq.ParquetFile(path) as file:
+        about = file.metadata
+        n_bytes = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
+        if max(n_bytes, about.num_rows * about.num_columns) > N_BYTES_MAX:
+            rule = f"unpacks to more than {N_BYTES_MAX >> 20} MiB"
+            raise InputError(rule, file=path, remedy="keep only the targets of one field, and the columns that are read")
+        frame = pl.from_arrow(file.read())
+    assert isinstance(frame, pl.DataFrame)
+    return frame
 
 
 def _typed(frame: pl.DataFrame, path: Path) -> pl.DataFrame:
@@ -156,7 +182,11 @@ def _typed(frame: pl.DataFrame, path: Path) -> pl.DataFrame:
 def _read_fits(path: Path) -> pl.DataFrame:
     from astropy.table import Table  # noqa: PLC0415 - slow to import
 
-    return read_columns(Table.read(path, hdu=1, format="fits"), path, CATALOGUE.tables[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", message=".*truncated")
+        table = Table.read(path, hdu=1, format="fits")
+    return read_columns(table, path, CATALOGUE.tables[0])
 
 
 def _placed(frame: pl.DataFrame, path: Path, plate: Plate, centre_deg: tuple[float, float] | None) -> pl.DataFrame:
