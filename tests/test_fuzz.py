@@ -47,32 +47,8 @@ ra = { name = "ra_deg", unit = "deg" }
 dec = { name = "dec_deg", unit = "deg" }
 mag = { name = "mag", unit = "mag" }
 """
-ODD_VALUES = st.sampled_from(
-    [
-        "3",
-        "-1",
-        "0",
-        "1e400",
-        "nan",
-        "-inf",
-        "true",
-        '""',
-        '"x"',
-        "[]",
-        "[1, 2]",
-        "{}",
-        "{ a = 1 }",
-        "1979-05-27",
-        "9" * 400,
-        "'../../etc/passwd'",
-        "'\\u0000'",
-        '"\\u0000"',
-        "[[[[[[]]]]]]",
-        "'-1'",
-        "1.5",
-        "07:32:00",
-    ]
-)
+_ODD = """3 -1 0 1e400 nan -inf true "" "x" [] [1,2] {} {a=1} 1979-05-27 07:32:00 [[[[[[]]]]]] '-1' 1.5"""
+ODD_VALUES = st.sampled_from([*_ODD.split(), "'../../etc/passwd'", r"'\u0000'", r'"\u0000"', "9" * 400])
 
 
 def content_of(kind: str) -> bytes:
@@ -354,6 +330,14 @@ class TestSky:
         np.testing.assert_allclose(radius, [expected] * 4 + [0.0], atol=1e-6)
         places = {(round(x, 3), round(y, 3)) for x, y in found.select("x_mm", "y_mm").iter_rows()}
         assert len(places) == 5
+
+
+def test_parquet_that_unpacks_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    many = pl.DataFrame({"target_id": np.arange(200_000), "x_mm": np.zeros(200_000), "y_mm": np.zeros(200_000)})
+    many.write_parquet(tmp_path / "targets.parquet")
+    monkeypatch.setattr("survey_sim.survey.field.targets.N_BYTES_MAX", 1 << 20)
+    with pytest.raises(InputError, match="unpacks to more than 1 MiB"):
+        read_targets(tmp_path / "targets.parquet", PLATE, None)
 
 
 def test_formulas_in_names_are_no_formulas_in_csv(tmp_path: Path) -> None:

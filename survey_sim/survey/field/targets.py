@@ -175,6 +175,11 @@ def _typed(frame: pl.DataFrame, path: Path) -> pl.DataFrame:
         if broken.any():
             kind = "whole number" if column.dtype.is_integer() else "number"
             raise InputError(f"not a {kind}", file=path, place=column.name, rows=broken.arg_true().to_list())
+        if typed.dtype.is_float():
+            infinite = typed.is_infinite().fill_null(False)
+            if infinite.any():
+                raise InputError("not a finite number", file=path, place=column.name, rows=infinite.arg_true().to_list())
+            typed = typed.fill_nan(None)
         frame = frame.with_columns(typed)
     return frame
 
