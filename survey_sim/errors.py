@@ -42,6 +42,10 @@ class InputError(ValueError):
             text += f"\n  remedy: {remedy}"
         super().__init__(text)
 
+    def of_file(self, file: str | Path) -> "InputError":
+        """The same error, with the file at fault where it names none."""
+        return InputError(self.rule, file=self.file or file, place=self.place, rows=self.rows, remedy=self.remedy)
+
 
 def _rows(rows: Sequence[object]) -> str:
     shown = ", ".join(str(row) for row in rows[:N_ROWS_SHOWN])

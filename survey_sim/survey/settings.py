@@ -186,7 +186,10 @@ def load_pipeline(path: Path, changes: Sequence[str] = (), values_set: Mapping[s
         _apply(values, change)
     _place_catalogues(values, path.parent)
     settings = PipelineSettings.load(values, file=path)
-    settings.plate(path.parent)
+    try:
+        settings.plate(path.parent)
+    except InputError as fault:
+        raise fault.of_file(path) from None
     return settings
 
 

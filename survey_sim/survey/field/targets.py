@@ -112,7 +112,7 @@ def _checked(
     try:
         checked = FieldTargets.from_table(frame)
     except InputError as fault:
-        raise InputError(fault.rule, file=path, place=fault.place, rows=fault.rows, remedy=fault.remedy) from None
+        raise fault.of_file(path) from None
     return _as_targets(frame, checked, plate, centre_deg or NOWHERE_DEG)
 
 
