@@ -27,6 +27,8 @@ class Commands(typer.core.TyperGroup):
             return super().invoke(ctx)
         except InputError as failure:
             _fail(str(failure), BAD_INPUT)
+        except KeyboardInterrupt:
+            _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
         except BrokenPipeError:
             raise
         except OSError as failure:
@@ -36,8 +38,6 @@ class Commands(typer.core.TyperGroup):
                 raise
             text = " ".join(str(failure).split())[:200]
             _fail(f"a table cannot be read: {text}\n  remedy: run the pipeline again: it remakes what is damaged", BAD_INPUT)
-        except KeyboardInterrupt:
-            _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
 
 
 app = typer.Typer(
