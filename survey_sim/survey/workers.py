@@ -9,9 +9,12 @@ import logging
 import os
 import platform
 import resource
+import signal
+import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -66,6 +69,7 @@ class Workers:
             return
         from distributed import as_completed  # noqa: PLC0415
         from distributed.client import FutureCancelledError  # noqa: PLC0415
+        from distributed.comm import CommClosedError  # noqa: PLC0415
 
         client = self._open()
         waiting = iter(tasks)
@@ -81,7 +85,7 @@ class Workers:
         for future in futures:
             try:
                 result, spent = future.result()
-            except FutureCancelledError:
+            except (FutureCancelledError, CommClosedError):
                 raise InputError(
                     "the scheduler has gone away", place="--scheduler", remedy="run again: what is finished is kept"
                 ) from None
@@ -119,14 +123,15 @@ class Workers:
     def _start(self) -> Client:
         from distributed import Client, LocalCluster  # noqa: PLC0415
 
-        self._cluster = LocalCluster(
-            n_workers=self.n,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            memory_limit=0,
-        )
+        with _deaf_to_interrupt():
+            self._cluster = LocalCluster(
+                n_workers=self.n,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                memory_limit=0,
+            )
         return Client(self._cluster)
 
 
@@ -141,13 +146,31 @@ def _measured(function: Callable[[Task], Result], task: Task) -> tuple[Result, S
     return result, Spent((platform.node(), os.getpid()), time.process_time() - begun, memory_mib())
 
 
+@contextmanager
+def _deaf_to_interrupt() -> Iterator[None]:
+    """Processes begun in the block do not hear Ctrl-C, which a terminal sends to all: this process ends them."""
+    if threading.current_thread() is not threading.main_thread():  # only that one may say who hears
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _quiet_dask() -> None:
     """Library settings that keep the terminal ours and the workers small."""
     import dask  # noqa: PLC0415
+    import distributed  # noqa: F401, PLC0415 - sets levels of its loggers when it is first imported
 
     # A worker that kernels keep busy is no fault; libraries of a worker shall not start threads of their own.
     dask.config.set({"distributed.worker.daemon": True, "distributed.admin.tick.limit": "1h"})
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"):
         os.environ.setdefault(name, "1")
-    for name in ("distributed", "distributed.worker", "distributed.nanny", "distributed.scheduler", "distributed.core"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    # Its server of figures about itself listens on this machine alone, and on any port.
+    warnings.filterwarnings("ignore", message="Port .* is already in use", module="distributed")
+    # Workers set up their loggers by this; what goes wrong there comes back as an error of the task.
+    os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "critical")
+    for name in ("", ".client", ".worker", ".nanny", ".scheduler", ".core"):
+        logging.getLogger(f"distributed{name}").setLevel(logging.CRITICAL)
