@@ -170,24 +170,24 @@ class TestDamaged:
     """Everything that a run wrote before is made again when a byte of it is not as it was."""
 
     @pytest.mark.parametrize(
-        ("file", "stage"),
+        "file",
         [
-            ("legs/stars-00002.parquet", "visits"),
-            (".state/parts/paths/stars-00002.parquet", "visits"),
-            (".state/selected.parquet", "targets"),
-            ("targets.parquet", "tiles"),
-            ("visits.parquet", "visits"),
-            ("exposures.parquet", "schedule"),
+            "legs/stars-00002.parquet",
+            ".state/parts/paths/stars-00002.parquet",
+            ".state/selected.parquet",
+            "targets.parquet",
+            "visits.parquet",
+            "exposures.parquet",
         ],
     )
     @pytest.mark.parametrize("spoil", ["a byte", "the end", "all"])
-    def test_table(self, pipeline: Path, finished: Path, copy: Path, file: str, stage: str, spoil: str) -> None:
+    def test_table(self, pipeline: Path, finished: Path, copy: Path, file: str, spoil: str) -> None:
         path = copy / file
         content = bytearray(path.read_bytes())
         if spoil == "a byte":
             content[len(content) // 2] ^= 0x10
         path.write_bytes(content if spoil == "a byte" else content[:-9] if spoil == "the end" else b"")
-        assert any("damaged" in reason for reason in plan(pipeline, copy)[stage])
+        assert any("damaged" in reason for reasons in plan(pipeline, copy).values() for reason in reasons)
         run_here(pipeline, copy)
         assert_same_run(copy, finished)
 
