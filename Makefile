@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 WORKERS ?=
 
 .DEFAULT_GOAL := demo
-.PHONY: demo test lint bench docs catalogues survey system clean help
+.PHONY: demo test lint bench soak mutation docs catalogues survey system clean help
 
 demo: $(VENV)/.installed  ## install, and run pipelines/demo.toml into runs/demo (the default)
 	$(BIN)/survey-sim run pipelines/demo.toml $(if $(WORKERS),--workers $(WORKERS))
@@ -21,6 +21,13 @@ lint: $(VENV)/.dev  ## style, types and the rooms' import directions
 
 bench: $(VENV)/.dev  ## benchmarks of kernels and stages, as ratios to a yardstick of the same run
 	$(BIN)/pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,max,rounds
+
+soak: $(VENV)/.dev  ## 100 kills, 100,000 hard fields, millions of rows, fuzz with many examples: hours
+	$(BIN)/pytest -s tests/soaks/soak_*.py
+	SOAK_EXAMPLES=5000 $(BIN)/pytest tests/test_fuzz.py
+
+mutation: $(VENV)/.dev  ## break our own code in small ways, one at a time: which of them do the tests not notice?
+	$(BIN)/python -m tests.mutate
 
 docs: $(VENV)/.docs  ## build the pages of docs/ into site/, and docs/data-model.md from the schema
 	$(BIN)/python -m survey_sim.survey.docs docs

@@ -147,6 +147,8 @@ def test_every_public_name_is_described() -> None:
             assert [name for name in bare if not name.startswith("_")] == [], source
 
 
-@pytest.mark.parametrize("target", ["demo", "test", "lint", "bench", "docs", "catalogues", "survey", "help"])
+@pytest.mark.parametrize(
+    "target", ["demo", "test", "lint", "bench", "soak", "mutation", "docs", "catalogues", "survey", "help"]
+)
 def test_the_makefile_lists_its_targets(target: str) -> None:
     assert re.search(rf"^{target}:.*## ", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE)

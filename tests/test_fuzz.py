@@ -1,6 +1,7 @@
 """Every door, with damaged and hostile input: an error of ours, or a result that is right; never anything else."""
 
 import math
+import os
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -23,7 +24,9 @@ from survey_sim.survey.field.targets import read_targets
 from survey_sim.survey.settings import load_pipeline
 from tests.small_survey import PIPELINE, write_small_survey
 
-quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+# `make soak` asks for many more.
+N_EXAMPLE = int(os.environ.get("SOAK_EXAMPLES", "60"))
+quick = settings(max_examples=N_EXAMPLE, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 runner = CliRunner()
 PLATE = make_plate(load_instrument("paper"))
 N_TARGET = 5
@@ -286,7 +289,7 @@ OPTIONS = {
 
 
 class TestCommandLine:
-    @settings(quick, max_examples=80)
+    @quick
     @given(data=st.data())
     def test_odd_options(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: st.DataObject) -> None:
         """Options that mean nothing, for files that are not there or are no tables."""

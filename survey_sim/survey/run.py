@@ -156,7 +156,7 @@ def open_run(
 
 def code_digest(*rooms: str) -> str:
     """Digest of the source of rooms of the package (a module or a folder each), the same wherever it is installed."""
-    digest = sha256()
+    digest = sha256(str(SCHEMA_VERSION).encode())
     for room in sorted({*rooms, "schema", "tables", "geometry", "instrument", "motion", "settings"}):
         sources = sorted((PACKAGE / room).rglob("*.py")) or [PACKAGE / f"{room}.py"]
         for source in sources:
