@@ -139,3 +139,33 @@ def test_paths_are_played_with_errors_if_there_are_any() -> None:
         assert row[name] == getattr(done, name)
     assert row["error_max_um"] == done.error_um.max()
     assert row["moving_time_s"] != made["paths"]["configuration_time_s"][0]
+
+
+def _ring_job(*places: tuple[float, float], algorithm: str) -> TileJob:
+    """Robot 1 in a ring of six dead ones, robot 8 free; targets at these places, mm."""
+    ring = [(10.0 * np.cos(turn), 10.0 * np.sin(turn)) for turn in np.arange(6) * np.pi / 3]
+    plate = make_plate(load_instrument("paper", {"park_positions_mm": [(0.0, 0.0), *ring, (40.0, 0.0)]}), range(2, 8))
+    sky = plate_to_sky(np.array(places), CENTRE, 67.2)
+    job = _job(len(places), algorithm=algorithm)
+    targets = job.targets.filter(kind="science").with_columns(ra_deg=pl.Series(sky[:, 0]), dec_deg=pl.Series(sky[:, 1]))
+    return replace(job, targets=targets, plate=plate, wanted_frac={"stars": 1.0}, routing=RoutingSettings())
+
+
+@pytest.mark.parametrize("algorithm", ["matching", "plan"])
+def test_a_target_that_its_robot_cannot_reach_is_given_to_another(algorithm: str) -> None:
+    """The target is nearer to the robot in the ring; the other gets it at the next visit."""
+    made = simulate_tile(_ring_job((19.6, 0.0), algorithm=algorithm))
+    assert made["visits"]["n_science"].to_list() == [0, 1]
+    assert made["visits"]["unrouted"].to_list() == [1, 0]
+    failed = made["robot_times"].filter(pl.col("reason").is_not_null(), path="start_to_target")
+    assert failed.select("visit_id", "robot_id", "reason").rows() == [(0, 1, "unreachable")]
+    held = made["allocations"].drop_nulls("target_id")
+    assert held.select("visit_id", "robot_id").rows() == [(1, 8)]
+    assert made["unallocated"].is_empty()
+
+
+@pytest.mark.parametrize("algorithm", ["matching", "plan"])
+def test_a_target_that_only_a_robot_in_the_ring_has_in_reach_is_unrouted(algorithm: str) -> None:
+    made = simulate_tile(_ring_job((-30.0, 0.0), (60.0, 0.0), algorithm=algorithm))
+    assert made["unallocated"].select("target_id", "reason").rows() == [(0, "unrouted")]
+    assert made["visits"]["completeness_frac"].to_list()[-1] == 0.5

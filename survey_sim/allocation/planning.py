@@ -21,9 +21,9 @@ N_STEP = 500
 # Rounds of shortening: robots matched anew from visit to visit, then sweeps of exchanges from hot to cold.
 N_ROUND = 3
 N_SWEEP = 8
-HOT_MM, COLD_MM = 25.0, 8.0
-EXCHANGE_RADIUS_MM = 40.0
-N_EXCHANGE = 10
+HOT_MM, COLD_MM = 20.0, 6.0
+EXCHANGE_RADIUS_MM = 30.0
+N_EXCHANGE = 30
 # An old plan of which so much goes on is mended, not shortened again.
 KEPT_FRAC = 0.9
 # Rounds that give up the targets least begun of those that cannot get all their visits.
