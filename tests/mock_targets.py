@@ -37,7 +37,7 @@ def clustered_xy(n: int, seed: int) -> np.ndarray:
     return places[:n]
 
 
-def clumped_xy(n: int, seed: int, clumped_frac: float, n_clump: int = 60, sigma_mm: float = 7.0) -> np.ndarray:
+def clumped_xy(n: int, seed: int, clumped_frac: float, n_clump: int, sigma_mm: float) -> np.ndarray:
     """(n, 2) places, so many of them in Gaussian clumps and the rest spread evenly, mm: denser than galaxies cluster."""
     rng = np.random.default_rng(seed)
     centre = uniform_xy(n_clump, seed + 1000)

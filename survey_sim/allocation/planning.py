@@ -17,7 +17,7 @@ from survey_sim.allocation.targets import GUIDE, SKY, STANDARD, IntArray
 # Whole-number worth of a target of value 1, for the search.
 VALUE_UNIT = 1000
 # Moves without improvement that end the search for more targets; chosen on 1,431 clustered targets, as all below.
-N_STEP = 500
+N_STEP = 2000
 # Rounds of shortening: robots matched anew from visit to visit, then sweeps of exchanges from hot to cold.
 N_ROUND = 3
 N_SWEEP = 8

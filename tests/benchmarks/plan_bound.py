@@ -25,8 +25,9 @@ VISITS = (5, 8, 10, 12, 15)
 FIELDS: dict[str, Callable[[int], np.ndarray]] = {
     "uniform": lambda seed: uniform_xy(N_TARGET, seed),
     "clustered": lambda seed: clustered_xy(N_TARGET, seed),
-    "a third in clumps": lambda seed: clumped_xy(N_TARGET, seed, 0.35),
-    "half in clumps": lambda seed: clumped_xy(N_TARGET, seed, 0.5),
+    "half in 60 clumps": lambda seed: clumped_xy(N_TARGET, seed, 0.5, 60, 3.5),
+    "80 % in 60 clumps": lambda seed: clumped_xy(N_TARGET, seed, 0.8, 60, 5.0),
+    "60 % in 40 clumps": lambda seed: clumped_xy(N_TARGET, seed, 0.6, 40, 4.0),
 }
 
 
