@@ -1158,12 +1158,21 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
     kept = stand_still(tasks, np.zeros(len(tasks), PLAN))
     unit = max(low, SHORT_S)
     failed, found, more = low, np.inf, FIRST_PAIR_FRAC * unit
-    while found - failed > PAIR_FRAC * unit:
-        trial = low + more if found == np.inf else 0.5 * (found + failed)
+    while found > low:
+        if found == np.inf:
+            trial = low + more
+        elif found - failed > PAIR_FRAC * unit:
+            trial = 0.5 * (found + failed)
+        else:
+            # A failure may have been bad luck: once more, a little lower and for longer.
+            trial, failed = max(low, found - FIRST_PAIR_FRAC * unit), -np.inf
+        n_step = effort.pair if failed > 0.0 else 2 * effort.pair
         begin(phys, pair, rng, trial, effort.sample, separation, margin)
-        if repair(phys, pair, rng, trial, effort.pair, effort.sample, separation, margin) >= 0:
+        if repair(phys, pair, rng, trial, n_step, effort.sample, separation, margin) >= 0:
             copy_plans(pair, kept)
-            found = last_arrival(pair)
+            found, failed = last_arrival(pair), max(low, failed)
+        elif failed < 0.0:
+            break
         else:
             failed = trial
             more *= 2.0

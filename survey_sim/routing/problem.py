@@ -52,7 +52,7 @@ class RoutingSettings(Settings):
     # Extra separation planned where starts and goals allow; what cannot be routed so is routed without it.
     margin_mm: float = Field(0.0, ge=0)
     # Coordinated: steps of repair spent on shortening a path that was not found at the bound.
-    n_repair: int = Field(200, ge=1)
+    n_repair: int = Field(300, ge=1)
     # Settings of a router of another package, which knows what they mean.
     options: dict[str, Any] = Field(default_factory=dict)
 

@@ -23,7 +23,7 @@ from rich.progress import track
 from survey_sim.check.kernels import least_separations
 from survey_sim.instrument import Plate, load_instrument, make_plate
 from survey_sim.motion import Legs
-from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
+from survey_sim.routing import ROUTERS, RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import SimulationSettings, execute
 from tests.benchmarks.orca import steer
 from tests.benchmarks.yardstick import yardstick_s
@@ -115,6 +115,13 @@ def timed(task: Task, settings: RoutingSettings, seed: int) -> tuple[RoutedPath,
     begin = time.process_time()
     path = route(task.plate, task.start_mm, task.theta_deg, task.goal_mm, settings, np.random.default_rng(seed))
     return path, 1e3 * (time.process_time() - begin)
+
+
+def warm() -> None:
+    """Load what is compiled, so that no measured path waits for it."""
+    for router in ROUTERS:
+        for task, path, _ in with_dead(1, router, 0):
+            count_near(task, path.legs)
 
 
 def measure(make: Callable[[int], Iterator[tuple[Task, RoutedPath, float]]], seed: int) -> list[Measured]:
@@ -244,7 +251,7 @@ def main() -> None:
     given = parser.parse_args()
     print(f"one assignment: {1e3 * yardstick_s():.3f} ms\n", flush=True)
     head: tuple[str, ...] = ()
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(given.workers, get_context("spawn"), warm) as pool:
         for name, (do, n_seed) in cases(given.visits).items():
             if given.only and not any(word in name for word in given.only):
                 continue
