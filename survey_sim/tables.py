@@ -194,6 +194,15 @@ def read_record(folder: Path) -> dict[str, Any]:
         raise InputError(f"is not JSON: {failure}", file=path, remedy="run the pipeline again") from None
 
 
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What is said of a part (name, signature, SHA-256 by table); one that is absent or damaged says nothing."""
+    try:
+        kept = json.loads(path.read_bytes())
+    except (FileNotFoundError, ValueError):
+        return {}
+    return kept if isinstance(kept, dict) and kept.keys() >= {"name", "signature", "sha256"} else {}
+
+
 def checksum(path: Path) -> str:
     """SHA-256 of a file."""
     with path.open("rb") as file:

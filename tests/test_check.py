@@ -557,7 +557,7 @@ PLANTED = {
     ),
     "pointings overlap": (
         "exposures",
-        replaced({"exposure_id": 0}, exposure_s=3600.0),
+        replaced({"exposure_id": 0}, exposure_s=1729.0),  # 1728 s before exposure 2 opens
         "exposures",
         "exposure 2 begins before the last one ends",
         row(1, 0),

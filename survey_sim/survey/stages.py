@@ -236,12 +236,12 @@ def plans_path(run: Run) -> Path:
 def are_parts_whole(run: Run) -> bool:
     """Whether every part that the manifests name is there, byte for byte."""
     manifests = sorted((run.state / "parts").glob("*.json"))
-    return all(_is_whole(run, _kept(manifest)) for manifest in manifests)
+    return all(_is_whole(run, tables.read_manifest(manifest)) for manifest in manifests)
 
 
 def is_whole(run: Run, batch: Batch) -> bool:
     """Whether the parts of a batch are there, made from the same input, byte for byte."""
-    kept = _kept(_manifest(run, batch.name))
+    kept = tables.read_manifest(_manifest(run, batch.name))
     return kept.get("signature") == batch.signature and _is_whole(run, kept)
 
 
@@ -321,15 +321,6 @@ def _keep(run: Run, result: BatchResult) -> None:
         "sha256": {table: sha256(content).hexdigest() for table, content in result.parts.items()},
     }
     tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), _manifest(run, result.name))
-
-
-def _kept(manifest: Path) -> dict[str, Any]:
-    """A manifest; one that is absent or damaged says nothing, and its parts are made again."""
-    try:
-        kept = json.loads(manifest.read_bytes())
-    except (FileNotFoundError, ValueError):
-        return {}
-    return kept if isinstance(kept, dict) and kept.keys() >= {"name", "signature", "sha256"} else {}
 
 
 def _is_whole(run: Run, kept: dict[str, Any]) -> bool:

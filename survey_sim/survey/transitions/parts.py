@@ -53,7 +53,6 @@ def _write(run: Run, robots: PlateRobots, keys: list[str], first: int, name: str
     for table in _IN_PARTS:
         content = tables.encode(_gathered(robots, keys, first, table), table)
         path = run.table(table) / f"{name}.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
         tables.write_bytes(content, path, aside=run.folder)
         checksums[table] = sha256(content).hexdigest()
     kept = {"name": name, "signature": signature, "sha256": checksums}
@@ -77,10 +76,9 @@ def _gathered(robots: PlateRobots, keys: list[str], first: int, table: str) -> p
 
 def _is_whole(run: Run, name: str, signature: str | None = None) -> bool:
     """Whether a part is there, byte for byte, made of the same steps."""
-    manifest = run.state / "nights" / f"{name}.json"
-    if not manifest.is_file():
+    kept = tables.read_manifest(run.state / "nights" / f"{name}.json")
+    if not kept:
         return False
-    kept = json.loads(manifest.read_text())
     parts = {run.table(table) / f"{name}.parquet": checksum for table, checksum in kept["sha256"].items()}
     is_same = signature is None or kept["signature"] == signature
     return is_same and all(path.is_file() and tables.checksum(path) == checksum for path, checksum in parts.items())
