@@ -3,13 +3,15 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, VisitRequest, make_field
-from survey_sim.allocation.planning import Search
+from survey_sim.allocation.planning import VALUE_UNIT, Search
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import FieldTargets
 from survey_sim.instrument import Plate
 
+# Length of its searches, as a share of those of the plan that is carried out: that one begins where these end.
+EFFORT_FRAC = 0.3
 # Times that the worth of programmes which lack targets is doubled, while others have theirs.
-N_FAVOUR = 6
+N_FAVOUR = 2
 
 
 def plan_visits(
@@ -36,20 +38,20 @@ def plan_visits(
     -------
         (n_target, n_visit) science targets planned; only those that get all visits that they want.
     """
-    field = make_field(targets, plate, settings)
+    field = make_field(targets, plate, settings.model_copy(update={"effort": EFFORT_FRAC * settings.effort}))
     is_free = field.is_on_plate & ~field.blocked_by(plate.park_mm[~plate.is_live]) & (is_open | ~targets.is_science)
     missing = np.where(targets.is_science & is_free, targets.wanted_visits, 0)
     request = VisitRequest(0, plate.park_mm, is_free, np.ones(len(field.reach_robot), dtype=bool), missing)
     search = Search(field, request, rng.integers(1, 2**63, size=1, dtype=np.uint64))
+    # A fibre is worth as much to a target that wants many visits as to one that wants one.
+    search.value = np.round(VALUE_UNIT * field.value[search.item_target]).astype(np.int64)
     visit_of, _ = search.fill(n_visit, search.visits_of(kept[:, :n_visit]))
-    best = _completed(search, n_visit, visit_of)
     for _ in range(N_FAVOUR):
         lack = search.lack(visit_of)
         if not lack.any() or not search.favour(lack > 0):
             break
         visit_of, _ = search.fill(n_visit, visit_of)
-        best = _completed(search, n_visit, visit_of)
-    return best
+    return _completed(search, n_visit, visit_of)
 
 
 def _completed(search: Search, n_visit: int, visit_of: np.ndarray) -> BoolArray:

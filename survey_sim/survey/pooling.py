@@ -12,7 +12,7 @@ import polars as pl
 from survey_sim.allocation import AllocationSettings, FieldTargets, plan_visits
 from survey_sim.geometry import sky_to_plate
 from survey_sim.instrument import Plate
-from survey_sim.survey.tile import last_group, magnitude_groups, planned_visits, stream
+from survey_sim.survey.tile import last_group, magnitude_groups, planned_visits, stream, subset
 from survey_sim.survey.workers import Workers
 from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pairs, pool_visits
 
@@ -22,7 +22,6 @@ IntArray = npt.NDArray[np.int64]
 _TILES_A_TASK = 16
 # Columns of a plan; visits are counted in their group, a range of magnitudes.
 PLAN = {"survey": pl.String, "tile_id": pl.Int32, "group": pl.Int32, "visit": pl.Int32, "target_id": pl.Int64}
-_COLUMNS = ("target_id", "kind", "programme", "ra_deg", "dec_deg", "mag", "priority", "wanted_visits")
 
 
 @dataclass(frozen=True)
@@ -44,11 +43,24 @@ class PoolRules:
 
 @dataclass(frozen=True)
 class _TileOrder:
-    """One tile to plan: the targets that it may use, visits of each group, and its plan so far (targets by their ids)."""
+    """One tile to plan.
+
+    Attributes
+    ----------
+    targets
+        Targets that it may use, by ascending `target_id`; their places on the plate are not known yet.
+    sky_deg
+        (n_target, 2) right ascension and declination.
+    n_visit
+        (n_group,) visits.
+    kept
+        Its plan so far, targets by their ids.
+    """
 
     tile_id: int
     centre_deg: tuple[float, float]
-    targets: pl.DataFrame
+    targets: FieldTargets
+    sky_deg: npt.NDArray[np.float64]
     n_visit: IntArray
     kept: Planned
 
@@ -78,54 +90,56 @@ def pool_survey(
     -------
         Table `targets`, science targets of the survey with their home tile; the plan, as `PLAN`.
     """
-    place = (targets["survey"] == rules.survey).arg_true().to_numpy()
-    mine = targets[place]
+    mine = targets.with_row_index("place").filter(survey=rules.survey).sort("target_id")
     pool = survey_pool(rules, mine, tiles, workers)
-    is_science = (mine["kind"] == "science").to_numpy()
-    tile_id = targets["tile_id"].scatter(place[is_science], pool.home.astype(np.int32))
-    return targets.with_columns(tile_id), _plan_table(rules.survey, pool, mine.filter(is_science)["target_id"].to_numpy())
+    science = mine.filter(kind="science")
+    tile_id = targets["tile_id"].scatter(science["place"].to_numpy(), pool.home.astype(np.int32))
+    return targets.with_columns(tile_id), _plan_table(rules.survey, pool, science["target_id"].to_numpy())
 
 
 def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, workers: Workers) -> Pool:
-    """The pool of one survey, settled; its targets are the science rows of `targets`, which has no other survey's."""
-    row = (targets["kind"] == "science").arg_true().to_numpy()
-    science, columns = targets[row], targets.select(_COLUMNS)
-    pool = _begin(rules, science, tiles, _capacity(rules, targets["kind"]))
+    """The pool of one survey, settled.
+
+    Parameters
+    ----------
+    targets
+        Rows of `targets` of the survey, by ascending `target_id`; those of science are the pool's, with the nearest tile.
+    tiles
+        Rows of `tiles` of the survey.
+    """
+    known = FieldTargets.from_table(targets.with_columns(x_mm=pl.lit(0.0), y_mm=pl.lit(0.0)), rules.wanted_frac)
+    row = np.flatnonzero(known.is_science)
+    pool = _begin(rules, targets[row], subset(known, row), tiles, _capacity(rules, targets["kind"]))
     shared = members(tiles, targets, rules.plate.instrument.field_radius_deg)
     centres = tiles.select("ra_deg", "dec_deg").rows()
-    target_id = science["target_id"].to_numpy()
-    by_id = np.argsort(target_id)
+    sky_deg = targets.select("ra_deg", "dec_deg").to_numpy()
+    target_id = known.target_id[row]
 
     def plan_tiles(orders: Sequence[Order]) -> list[Planned]:
-        asked = [
-            _TileOrder(
-                tile_id=order.tile,
-                centre_deg=centres[order.tile],
-                targets=columns[np.sort(np.concatenate([row[order.row], shared.of(order.tile)]))],
-                n_visit=order.n_visit,
-                kept=Planned(target_id[order.kept.row], order.kept.group, order.kept.visit),
+        asked = []
+        for order in orders:
+            some = np.sort(np.concatenate([row[order.row], shared.of(order.tile)]))
+            kept = replace(order.kept, row=target_id[order.kept.row])
+            asked.append(
+                _TileOrder(order.tile, centres[order.tile], subset(known, some), sky_deg[some], order.n_visit, kept)
             )
-            for order in orders
-        ]
         tasks = [_Task(rules, tuple(some), place) for place, some in enumerate(_chunks(asked, _TILES_A_TASK))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
-        planned = [plan for _, plans in done for plan in plans]
-        return [replace(plan, row=by_id[np.searchsorted(target_id, plan.row, sorter=by_id)]) for plan in planned]
+        return [replace(plan, row=np.searchsorted(target_id, plan.row)) for _, plans in done for plan in plans]
 
     pool_visits(pool, plan_tiles)
     return pool
 
 
-def _begin(rules: PoolRules, science: pl.DataFrame, tiles: pl.DataFrame, capacity: int) -> Pool:
-    names = sorted(rules.wanted_frac)
+def _begin(rules: PoolRules, science: pl.DataFrame, known: FieldTargets, tiles: pl.DataFrame, capacity: int) -> Pool:
     return make_pool(
         plate_pairs(science, tiles, rules.plate.instrument.field_radius_deg),
         science["tile_id"].to_numpy().astype(np.int64),
         tiles.height,
-        group=last_group(science["mag"].cast(pl.Float64).fill_null(np.nan).to_numpy(), rules.allocation.mag_ranges),
-        programme=science["programme"].replace_strict(names, range(len(names)), return_dtype=pl.Int64).to_numpy(),
-        wanted_visits=science["wanted_visits"].to_numpy().astype(np.int64),
-        wanted_frac=np.array([rules.wanted_frac[name] for name in names]),
+        group=last_group(known.mag, rules.allocation.mag_ranges),
+        programme=known.programme,
+        wanted_visits=known.wanted_visits,
+        wanted_frac=known.wanted_frac,
         capacity=capacity,
         min_gain=rules.allocation.min_gain,
     )
@@ -163,10 +177,9 @@ def _plan_task(task: _Task) -> tuple[int, list[Planned]]:
 
 def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
     """Plan the visits of one tile, group after group; rows are target ids."""
-    ra, dec = (order.targets[name].to_numpy() for name in ("ra_deg", "dec_deg"))
-    position = sky_to_plate(ra, dec, order.centre_deg, rules.plate.instrument.plate_scale_arcsec_mm)
-    on_plate = order.targets.with_columns(x_mm=pl.Series(position[:, 0]), y_mm=pl.Series(position[:, 1]))
-    field = FieldTargets.from_table(on_plate, rules.wanted_frac)
+    scale = rules.plate.instrument.plate_scale_arcsec_mm
+    x_mm, y_mm = sky_to_plate(order.sky_deg[:, 0], order.sky_deg[:, 1], order.centre_deg, scale).T.copy()
+    field = replace(order.targets, x_mm=x_mm, y_mm=y_mm)
     rng = stream(rules.seed, "pool", rules.survey, order.tile_id)
     is_done = np.zeros(field.n_target, dtype=np.bool_)
     parts = [Planned.empty()]

@@ -108,16 +108,17 @@ def last_group(mag: FloatArray, ranges: tuple[tuple[float, float], ...]) -> npt.
     return np.searchsorted([low for low, _ in ranges[1:]], mag, side="right").astype(np.int64)
 
 
+def subset(field: FieldTargets, chosen: npt.NDArray[np.int64]) -> FieldTargets:
+    """The targets at these places."""
+    shared = ("programmes", "wanted_frac")
+    return replace(field, **{c.name: getattr(field, c.name)[chosen] for c in fields(FieldTargets) if c.name not in shared})
+
+
 def _chosen(field: FieldTargets, chosen: np.ndarray, *, is_filler: np.ndarray) -> FieldTargets:
     """The targets at these places; fillers have the lowest priority and no programme."""
-    per_target = {
-        column.name: getattr(field, column.name)[chosen]
-        for column in fields(FieldTargets)
-        if column.name not in ("programmes", "wanted_frac")
-    }
-    per_target["priority"] = np.where(is_filler, 1, per_target["priority"])
-    per_target["programme"] = np.where(is_filler, -1, per_target["programme"])
-    return replace(field, **per_target)
+    part = subset(field, chosen)
+    priority, programme = np.where(is_filler, 1, part.priority), np.where(is_filler, -1, part.programme)
+    return replace(part, priority=priority, programme=programme)
 
 
 def _visit_group(

@@ -15,8 +15,8 @@ The result depends on no order within a colour, so on no number of workers.
 A tile's visits are split in groups (ranges of magnitude, of which one exposure serves one); without ranges there is one.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-# Steps 3 and 4 take turns so many times at most, each in so many rounds at most.
-_MAX_CYCLES = 4
-_MAX_ROUNDS = 40
-# Visits of one round bring at least so much of what the best of them does.
-_KEPT_FRAC = 0.6
+# Rounds of each of steps 3 and 4 at most. (Taking turns again saved no visit more on the anchors' regions.)
+_MAX_ROUNDS = 12
 # A target that waits in overlaps is expected to come to each tile that sees it with this chance.
 _SHARED = 0.5
 # Step 3 goes on to so much more than the completeness wanted: what overlaps then serve for nothing lets step 4 give up more.
@@ -157,17 +154,13 @@ class Pool:
         """(n_programme,) targets of each programme among these."""
         return np.bincount(self.programme[row], minlength=len(self.n_lost))
 
-    def copy(self) -> "Pool":
-        """What the pool has settled so far."""
-        changing = {name: getattr(self, name).copy() for name in ("home", "n_visit", "is_done", "plans")}
-        return replace(self, **changing)
-
-    def restore(self, kept: "Pool") -> None:
-        """Go back to what was settled before."""
-        self.home, self.n_visit, self.is_done, self.plans = kept.home, kept.n_visit, kept.is_done, kept.plans
-
     def _n_waiting(self) -> IntArray:
         return np.bincount(self.programme[~self.is_done], minlength=len(self.n_lost))
+
+    def by_colour(self, is_chosen: BoolArray) -> Iterator[list[int]]:
+        """The chosen tiles, colour by colour: those of a colour share no target."""
+        for colour in range(self.colours.max(initial=-1) + 1):
+            yield np.flatnonzero(is_chosen & (self.colours == colour)).tolist()
 
     def own(self, tile: int) -> IntArray:
         """Targets at home on a tile."""
@@ -281,27 +274,20 @@ def pool_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
         Plans of several tiles, in the order asked: the only work that takes time, and may be done in parallel.
     """
     _sweep(pool, np.ones(pool.n_tile, dtype=np.bool_), plan_tiles)
-    best = None
-    for _ in range(_MAX_CYCLES):
-        _grow(pool, plan_tiles)
-        _shrink(pool, plan_tiles)
-        if best is not None and pool.n_visit.sum() >= best.n_visit.sum():
-            pool.restore(best)
-            break
-        best = pool.copy()
+    _grow(pool, plan_tiles)
+    _shrink(pool, plan_tiles)
 
 
 def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
     """Plan the chosen tiles again, colour by colour: those of a colour share no target."""
-    for colour in range(pool.colours.max(initial=-1) + 1):
-        tiles = np.flatnonzero(is_chosen & (pool.colours == colour))
-        orders = [pool.order(int(tile)) for tile in tiles if pool.n_visit[tile].any()]
+    for tiles in pool.by_colour(is_chosen & pool.n_visit.any(axis=1)):
+        orders = [pool.order(tile) for tile in tiles]
         for order, planned in zip(orders, plan_tiles(orders), strict=True):
             pool.accept(order, planned)
 
 
 def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
-    """Give visits to the tiles where they bring the most, until the survey has somewhat more than it wants.
+    """Give visits to the tiles where most targets wait, until the survey has somewhat more than it wants.
 
     What a visit brought when it was tried last stands for what it may bring: it seldom brings more later.
     """
@@ -314,21 +300,15 @@ def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
         tiles = tiles[hope[tiles] >= pool.min_gain]
         if not lack or not len(tiles):
             return
-        tiles = tiles[: 2 * np.searchsorted(np.cumsum(hope[tiles]), lack) + 4]
-        orders = [pool.order(int(t), n_visit=pool.n_visit[t] + _one(pool, group[t])) for t in tiles]
-        trials = []
-        for order, planned in zip(orders, plan_tiles(orders), strict=True):
-            gain = len(planned.row) - len(pool.plans[order.tile].row)
-            most[order.tile, group[order.tile]] = gain
-            trials.append((-gain, order.tile, order, planned))
-        trials.sort(key=lambda trial: trial[:2])
-        least = max(pool.min_gain, -_KEPT_FRAC * trials[0][0])
-        is_shut = np.zeros(pool.n_tile, dtype=np.bool_)
-        for loss, tile, order, planned in trials:
-            if -loss >= least and not is_shut[tile] and lack > 0:
-                pool.accept(order, planned)
-                is_shut[pool.near[tile]] = True
-                lack += loss
+        is_chosen = np.zeros(pool.n_tile, dtype=np.bool_)
+        is_chosen[tiles[: np.searchsorted(np.cumsum(hope[tiles]), lack) + 1]] = True
+        for now in pool.by_colour(is_chosen):
+            orders = [pool.order(t, n_visit=pool.n_visit[t] + _one(pool, group[t])) for t in now]
+            for order, planned in zip(orders, plan_tiles(orders), strict=True):
+                gain = len(planned.row) - len(pool.plans[order.tile].row)
+                most[order.tile, group[order.tile]] = gain
+                if gain >= pool.min_gain:
+                    pool.accept(order, planned)
         _sweep(pool, pool.is_offered_more(), plan_tiles)
 
 
