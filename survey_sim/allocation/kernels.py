@@ -81,20 +81,35 @@ def reach_lists(robot_xy, patrol, is_guide, xy, is_for_guide, is_served):
     first, robot
         (n_target + 1,) and (n_pair,): robots of target t are robot[first[t]:first[t + 1]], ascending.
     """
-    n_robot, n_target = len(robot_xy), len(xy)
+    n_target = len(xy)
     first = np.zeros(n_target + 1, np.int64)
     robot = np.empty(max(16, 16 * n_target), np.int32)
+    # Robots of each kind from west to east: only those within the widest reach are looked at.
+    by_x = np.argsort(robot_xy[:, 0])
+    kinds = (by_x[~is_guide[by_x]], by_x[is_guide[by_x]])
+    x = (robot_xy[kinds[0], 0].copy(), robot_xy[kinds[1], 0].copy())
+    widest = np.zeros(2)
+    for r in range(len(robot_xy)):
+        if patrol[r] > widest[int(is_guide[r])]:
+            widest[int(is_guide[r])] = patrol[r]
     n = 0
     for t in range(n_target):
-        for r in range(n_robot):
-            if is_served[t] and is_guide[r] == is_for_guide[t]:
-                dx = xy[t, 0] - robot_xy[r, 0]
-                dy = xy[t, 1] - robot_xy[r, 1]
+        if is_served[t]:
+            kind = int(is_for_guide[t])
+            begin = np.searchsorted(x[kind], xy[t, 0] - widest[kind] - GUARD_MM)
+            n_before = n
+            for k in range(begin, len(x[kind])):
+                dx = x[kind][k] - xy[t, 0]
+                if dx > widest[kind] + GUARD_MM:
+                    break
+                r = kinds[kind][k]
+                dy = robot_xy[r, 1] - xy[t, 1]
                 if dx * dx + dy * dy <= patrol[r] * patrol[r]:
                     if n == len(robot):
                         robot = np.concatenate((robot, np.empty(n, np.int32)))
                     robot[n] = r
                     n += 1
+            robot[n_before:n].sort()
         first[t + 1] = n
     return first, robot[:n].copy()
 

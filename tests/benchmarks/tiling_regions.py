@@ -1,9 +1,9 @@
 """Visits that regions of the sky need: `python -m tests.benchmarks.tiling_regions [NUMBER ...]` (all regions by default).
 
-Of square regions at the densities that TAIPAN's own tiler was run on: targets, tiles, ideal number of visits (95 % of targets /
-126 science fibres), and visits / ideal: of each tile by itself, pooled, and pooled on interior tiles (those whose plate lies
-wholly within the region) and the others apart, with the targets at home on them; completeness of the visits made, their
-robots routed; CPU seconds of the tiling and pooling, and of all visits.
+Of square regions at the densities that TAIPAN's own tiler was run on: targets, tiles, ideal number of visits (95 % of the
+targets / 126 science fibres), and visits / ideal: of each tile by itself, pooled, and pooled on interior tiles (those whose
+plate lies wholly within the region) and the others apart, with the targets at home on them; completeness of the visits made,
+their robots routed; CPU seconds of tiling and pooling, and of all visits.
 """
 
 import sys
