@@ -5,7 +5,7 @@ stand, and its `record` takes what the router could bring about.
 """
 
 from survey_sim.allocation.bound import completeness_bound
-from survey_sim.allocation.field import Field, VisitRequest
+from survey_sim.allocation.field import Field, VisitRequest, make_field
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels import crossings
 from survey_sim.allocation.minima import Minima
@@ -32,6 +32,7 @@ __all__ = [
     "completeness_bound",
     "crossings",
     "ideal_completeness",
+    "make_field",
     "match_again",
     "plan_visits",
     "start_allocation",

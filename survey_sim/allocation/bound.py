@@ -31,6 +31,7 @@ def completeness_bound(
     n_done: npt.ArrayLike | None = None,
     n_reserved: int = 0,
     method: Literal["linear", "fast"] = "linear",
+    field: Field | None = None,
 ) -> float:
     """Upper bound of the completeness of a tile after so many visits.
 
@@ -49,12 +50,14 @@ def completeness_bound(
         Fibres of every visit that science cannot have.
     method
         "linear", or "fast": fibres and one partition into cliques alone (under a millisecond, looser).
+    field
+        The targets on the plate as `make_field` makes them, where they are at hand: it takes longer than a fast bound.
 
     Returns
     -------
         Complete science targets on the plate / science targets on the plate.
     """
-    field = make_field(targets, plate, AllocationSettings.load({}))
+    field = field or make_field(targets, plate, AllocationSettings.load({}))
     is_counted = targets.is_science & field.is_on_plate
     if not is_counted.any():
         return 1.0

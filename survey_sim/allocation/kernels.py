@@ -90,8 +90,7 @@ def reach_lists(robot_xy, patrol, is_guide, xy, is_for_guide, is_served):
     x = (robot_xy[kinds[0], 0].copy(), robot_xy[kinds[1], 0].copy())
     widest = np.zeros(2)
     for r in range(len(robot_xy)):
-        if patrol[r] > widest[int(is_guide[r])]:
-            widest[int(is_guide[r])] = patrol[r]
+        widest[int(is_guide[r])] = np.fmax(widest[int(is_guide[r])], patrol[r])
     n = 0
     for t in range(n_target):
         if is_served[t]:

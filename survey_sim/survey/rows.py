@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from survey_sim.allocation import FieldTargets, LostReason, Minima, completeness_bound, crossings, ideal_completeness
+from survey_sim.allocation import (
+    AllocationSettings,
+    Field,
+    FieldTargets,
+    LostReason,
+    Minima,
+    completeness_bound,
+    crossings,
+    ideal_completeness,
+    make_field,
+)
 from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate
 from survey_sim.motion import Legs
@@ -259,7 +270,12 @@ class TileRows:
         """Upper bound of completeness for any allocation after as many visits; NaN if it is not wanted."""
         if self._bound == "none":
             return np.nan
-        return completeness_bound(self.field, self.plate, self.n_visit, method=self._bound)
+        return completeness_bound(self.field, self.plate, self.n_visit, method=self._bound, field=self._lists)
+
+    @cached_property
+    def _lists(self) -> Field:
+        """Who is near whom and who reaches what, for all bounds."""
+        return make_field(self.field, self.plate, AllocationSettings.load({}))
 
 
 def _travel(travel_mm: FloatArray) -> dict[str, float]:

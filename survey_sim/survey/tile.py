@@ -18,6 +18,8 @@ from survey_sim.simulation import SimulationSettings, execute, simulate
 from survey_sim.survey.rows import PlayedPath, TileRows
 from survey_sim.tiling import Planned
 
+# A tile that completed so much of what was planned for it makes no visit more.
+PLAN_KEPT_FRAC = 0.97
 # What tables say of each `UnroutedReason`.
 REASON_CODES = np.array([None if reason == UnroutedReason.ARRIVED else reason.code for reason in UnroutedReason])
 
@@ -132,7 +134,8 @@ def _visit_group(
     if job.plan is not None:
         is_planned = planned_visits(field.target_id, job.plan, number)
         field = _as_planned(field, rows.field.programme[chosen], is_planned, rows.n_done[chosen])
-        settings = settings.model_copy(update={"max_visits": is_planned.shape[1]})
+        # What calibration displaces may take one visit more.
+        settings = settings.model_copy(update={"max_visits": is_planned.shape[1] + int(is_planned.shape[1] > 0)})
     session = start_allocation(field, job.plate, settings, rng, rows.n_done[chosen], is_planned)
     visit = session.next_visit(state.position_mm)
     while visit is not None:
@@ -171,13 +174,13 @@ def planned_visits(
 def _as_planned(
     field: FieldTargets, programme: npt.NDArray[np.int64], is_planned: npt.NDArray[np.bool_], n_done: npt.NDArray[np.int64]
 ) -> FieldTargets:
-    """The targets, of which just those planned or complete are wanted; `programme` (n_target,) knows that of fillers too."""
+    """The targets, about as many wanted as are planned or complete; `programme` (n_target,) is also of fillers."""
     is_wanted = field.is_science & (is_planned.any(axis=1) | (n_done >= field.wanted_visits))
     programme = np.where(is_wanted, programme, field.programme)
     is_counted = field.is_science & (programme >= 0)
     n_programme = len(field.programmes)
     n_wanted = np.bincount(programme[is_wanted], minlength=n_programme)
-    wanted_frac = n_wanted / np.maximum(np.bincount(programme[is_counted], minlength=n_programme), 1)
+    wanted_frac = PLAN_KEPT_FRAC * n_wanted / np.maximum(np.bincount(programme[is_counted], minlength=n_programme), 1)
     return replace(field, programme=programme, wanted_frac=wanted_frac)
 
 
