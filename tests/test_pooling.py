@@ -46,13 +46,20 @@ def _pool(tiles: Sequence[Sequence[int]], home: Sequence[int], wanted_frac: floa
     )
 
 
-def test_what_one_tile_cannot_fill_a_visit_with_goes_to_its_neighbour() -> None:
-    """Five targets at home on one tile and one on the other: three visits of two fibres, not three and one."""
-    pool = _pool([[0, 1, 2, 3, 4], [3, 4, 5]], [0, 0, 0, 0, 0, 1])
+def test_what_one_tile_cannot_place_goes_to_a_neighbour_with_idle_fibres() -> None:
+    """Five targets at home on one tile and three on the other: four visits of two fibres, not three and two."""
+    pool = _pool([[0, 1, 2, 3, 4], [3, 4, 5, 6, 7]], [0, 0, 0, 0, 0, 1, 1, 1])
     pool_visits(pool, _first_come)
-    assert pool.n_visit[:, 0].tolist() == [2, 1]
+    assert pool.n_visit[:, 0].tolist() == [2, 2]
     assert pool.is_done.all()
-    assert pool.home.tolist() == [0, 0, 0, 0, 1, 1]
+    assert pool.home.tolist() == [0, 0, 0, 0, 1, 1, 1, 1]
+
+
+def test_a_tile_with_many_waiting_gets_a_visit_more() -> None:
+    pool = _pool([[0, 1, 2, 3, 4]], [0, 0, 0, 0, 0])
+    pool_visits(pool, _first_come)
+    assert pool.n_visit[:, 0].tolist() == [3]
+    assert pool.is_done.all()
 
 
 def test_a_visit_that_the_survey_can_do_without_is_given_up() -> None:
