@@ -20,7 +20,7 @@ lint: $(VENV)/.dev  ## style, types and the rooms' import directions
 	$(BIN)/lint-imports
 
 bench: $(VENV)/.dev  ## benchmarks of kernels and stages, as ratios to a yardstick of the same run
-	$(BIN)/pytest tests/benchmarks --benchmark-only --benchmark-columns=min,median,max,rounds
+	$(BIN)/pytest tests/benchmarks --benchmark-only --benchmark-timer=time.process_time --benchmark-columns=min,median,rounds
 
 soak: $(VENV)/.dev  ## 100 kills, 100,000 hard fields, millions of rows, fuzz with many examples: hours
 	$(BIN)/pytest -s tests/soaks/soak_*.py

@@ -1,29 +1,13 @@
 """Speed of the allocation of one tile, as ratios to one `linear_sum_assignment` of 150 x 1500 in the same run."""
 
-import time
-from functools import cache
-
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
-from scipy.optimize import linear_sum_assignment
 
 from survey_sim.allocation import AllocationSettings, FieldTargets, completeness_bound, start_allocation
 from survey_sim.instrument import Plate, load_instrument, make_plate
+from tests.benchmarks.yardstick import yardstick_s
 from tests.mock_targets import clustered_xy, field_targets, survey_targets, uniform_xy
-
-
-@cache
-def yardstick_s() -> float:
-    """Least of 20 times of one assignment of 150 robots to 1500 targets, by squared distance."""
-    apart = uniform_xy(150, 1)[:, None] - uniform_xy(1500, 2)[None]
-    cost = (apart**2).sum(axis=2)
-    times = []
-    for _ in range(20):
-        begin = time.perf_counter()
-        linear_sum_assignment(cost)
-        times.append(time.perf_counter() - begin)
-    return min(times)
 
 
 def all_visits(targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> float:
