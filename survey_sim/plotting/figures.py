@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure
 
 from survey_sim.errors import InputError
@@ -82,12 +84,15 @@ def draw_script(script: Script, run: RunTables, folder: Path) -> tuple[bytes, tu
 
 def save_figure(figure: Figure, stem: Path, dpi: int = DEFAULT_DPI) -> bytes:
     """Save a figure as `stem`.png and `stem`.pdf, each whole or not at all; gives the PNG's bytes."""
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # laid out once for both files
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)  # once for both files
+    figure.set_layout_engine("none")
+    figure.set_dpi(dpi)
     contents = {}
-    for kind, metadata in _METADATA.items():
+    # `savefig` would draw each file twice, first to lay it out.
+    for kind, canvas in {"png": FigureCanvasAgg(figure), "pdf": FigureCanvasPdf(figure)}.items():
         buffer = BytesIO()
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+        getattr(canvas, f"print_{kind}")(buffer, metadata=_METADATA[kind])
         contents[kind] = buffer.getvalue()
         write_bytes(contents[kind], stem.with_name(f"{stem.name}.{kind}"))
     return contents["png"]

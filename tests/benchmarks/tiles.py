@@ -8,7 +8,7 @@ from survey_sim.geometry import plate_to_sky
 from survey_sim.instrument import load_instrument, make_plate
 from survey_sim.routing import RoutingSettings
 from survey_sim.survey.tile import TileJob
-from tests.mock_targets import clustered_xy, uniform_xy
+from tests.mock_targets import PLATE_RADIUS_MM, clustered_xy, uniform_xy
 
 CENTRE_DEG = (150.0, -30.0)
 N_SUPPLY = {"standard": 350, "sky": 350, "guide": 1200}
@@ -16,9 +16,10 @@ N_SUPPLY = {"standard": 350, "sky": 350, "guide": 1200}
 
 def tile_job(n_science: int, instrument: str = "taipan-150", tile_id: int = 0, **allocation: object) -> TileJob:
     """A tile of so many science targets, all wanted once, nine in ten of them enough."""
-    xy = np.vstack([clustered_xy(n_science, tile_id + 1), uniform_xy(sum(N_SUPPLY.values()), tile_id + 1)])
+    places = np.vstack([clustered_xy(n_science, tile_id + 1), uniform_xy(sum(N_SUPPLY.values()), tile_id + 1)])
     kinds = ["science"] * n_science + [kind for kind, n in N_SUPPLY.items() for _ in range(n)]
     plate = make_plate(load_instrument(instrument))
+    xy = places * plate.instrument.plate_radius_mm / PLATE_RADIUS_MM
     sky = plate_to_sky(xy, CENTRE_DEG, plate.instrument.plate_scale_arcsec_mm)
     targets = pl.DataFrame(
         {
