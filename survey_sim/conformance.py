@@ -23,7 +23,7 @@ import polars as pl
 from survey_sim import tables
 from survey_sim.check import check_run
 from survey_sim.errors import InputError
-from survey_sim.survey.engine import load_stages
+from survey_sim.survey.engine import run_stages
 from survey_sim.survey.proof import fault_lines
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.specimen import write_specimen
@@ -37,7 +37,7 @@ _INSTRUMENT = {
     "short reach": "patrol_radius_mm = 26.0",
 }
 SURVEYS = tuple(_INSTRUMENT)
-_STAGES = ("targets", "tiles", "pool", "visits")
+_SKIPPED = ("schedule", "report")
 _MADE = ("visits", "allocations", "paths", "legs", "robot_times")
 
 
@@ -107,11 +107,7 @@ def _check(sections: str, surveys: Sequence[str]) -> pl.DataFrame:
 def _run(pipeline: Path, folder: Path) -> Run:
     run = open_run(pipeline, Workers(), folder)
     with run.locked():
-        for stage in load_stages(run):
-            if stage.name in _STAGES:
-                with run.timed(stage.name):
-                    stage.action(run)
-        run.record_settings()
+        run_stages(run, skipped=_SKIPPED)
     return run
 
 

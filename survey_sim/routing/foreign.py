@@ -11,6 +11,10 @@ from survey_sim.motion import Legs
 from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 
 
+# How far from its goal a robot that arrives may end: rounding.
+END_TOLERANCE_MM = 1e-6
+
+
 def checked_routes(problem: Problem, settings: RoutingSettings, result: Any) -> tuple[Legs, npt.NDArray[np.int8]]:
     """Legs and (n_robot,) reasons as the tables need them.
 
@@ -18,7 +22,7 @@ def checked_routes(problem: Problem, settings: RoutingSettings, result: Any) -> 
     ------
     InputError
         Not a pair of legs and reasons, or of another shape or kind; legs that are not finite, not in the order of robot and
-        leg, or of robots that are dead, unknown or unrouted.
+        leg, or of robots that are dead, unknown or unrouted; robots that arrive elsewhere than at their goals.
     """
 
     def refuse(rule: str, robots: Any = None) -> None:
@@ -48,6 +52,12 @@ def checked_routes(problem: Problem, settings: RoutingSettings, result: Any) -> 
     expected = np.where(is_next, np.roll(columns["leg"], 1) + 1, 0)
     if (np.diff(robot) < 0).any() or (columns["leg"] != expected).any():
         refuse("legs that are not sorted by robot and leg, counted from 0")
+    ends = problem.start_mm.copy()
+    last = np.flatnonzero(np.diff(robot, append=-1) != 0)
+    ends[robot[last]] = np.column_stack([columns["x_mm"][last], columns["y_mm"][last]])
+    is_lost = (np.asarray(reasons) == UnroutedReason.ARRIVED) & (np.hypot(*(ends - problem.goal_mm).T) > END_TOLERANCE_MM)
+    if is_lost.any():
+        refuse("no reason for robots that do not end at their goals", problem.plate.robot_id[is_lost].tolist())
     typed = {field.name: np.float64 for field in fields(Legs)} | {"robot": np.int32, "leg": np.int16}
     whole = Legs(**{name: np.ascontiguousarray(column, dtype=typed[name]) for name, column in columns.items()})
     return whole, np.asarray(reasons, dtype=np.int8)

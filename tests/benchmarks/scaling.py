@@ -1,7 +1,7 @@
 """How the cost grows with robots, targets, tiles and workers: `python -m tests.benchmarks.scaling FOLDER [--workers]`.
 
-Writes scaling.csv and scaling.png. CPU time, as ratios to the yardstick; `--workers` adds visits a second of wall time, which wants a
-machine that does nothing else.
+Writes scaling.csv and scaling.png. CPU time, as ratios to the yardstick; `--workers` adds visits a second of wall time,
+which wants a machine that does nothing else.
 """
 
 import sys
@@ -15,7 +15,7 @@ import polars as pl
 
 from survey_sim import tables
 from survey_sim.plotting import figure_style, new_figure
-from survey_sim.survey.engine import load_stages
+from survey_sim.survey.engine import run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.specimen import write_specimen
 from survey_sim.survey.tile import simulate_tile
@@ -28,7 +28,6 @@ INSTRUMENTS = {"taipan-150": 159, "taipan-300": 309, "manifest": 600}
 WIDTH_DEG = (4.0, 8.0, 16.0, 32.0)
 N_WORKER = (1, 2, 4)
 STARS_A_DEG = 75
-STAGES = ("targets", "tiles", "visits")
 
 
 def main(folder: Path, *, with_workers: bool) -> None:
@@ -81,9 +80,7 @@ def _survey(place: Path, width_deg: float, workers: Workers) -> Run:
 def _run(run: Run, table: str) -> int:
     """The stages up to the visits; rows of a table then."""
     with run.locked():
-        for stage in load_stages(run):
-            if stage.name in STAGES:
-                stage.action(run)
+        run_stages(run, skipped=("schedule", "report"))
     return tables.read(run.folder, table).height
 
 
