@@ -10,7 +10,6 @@ from survey_sim.errors import InputError
 from survey_sim.motion import Legs
 from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
 
-
 # How far from its goal a robot that arrives may end: rounding.
 END_TOLERANCE_MM = 1e-6
 
