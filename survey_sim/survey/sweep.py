@@ -223,8 +223,9 @@ def _in_turn(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, InputErro
 
 
 def _side_by_side(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, InputError | None]]:
-    """A run that needs what another is making waits for it (`Store.alone`)."""
-    with ProcessPoolExecutor(min(workers.n, len(sweep.members)), mp_context=get_context("spawn")) as pool:
+    """A run that needs what another is making waits for it (`Store.alone`). When interrupted, no further run begins."""
+    pool = ProcessPoolExecutor(min(workers.n, len(sweep.members)), mp_context=get_context("spawn"))
+    try:
         futures: dict[Future[None], Member] = {pool.submit(run_member, m, Workers()): m for m in sweep.members}
         for future in as_completed(futures):
             member = futures[future]
@@ -237,3 +238,5 @@ def _side_by_side(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, Inpu
                 raise InputError(rule, remedy="run again: what is done is kept") from None
             else:
                 yield member, None
+    finally:
+        pool.shutdown(cancel_futures=True)
