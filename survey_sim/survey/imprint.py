@@ -31,7 +31,7 @@ EDGES_DEG = np.geomspace(10.0 / 3600.0, 6.0, 21)
 WIDE_DEG = 0.3
 N_WIDE = 40_000
 # Randoms of the correlations, for each target and at most.
-N_RANDOM, MOST_RANDOM = 10, 40_000
+N_RANDOM, MOST_RANDOM = 3, 20_000
 DENSITY_RADIUS_DEG = 0.5
 N_DENSITY_BIN = 10
 SQUARE_MM = 15.0
