@@ -369,7 +369,7 @@ def check_nothing_observed(schedule, n_night=92):
 
 
 def test_no_night():
-    schedule = run(small(), end_date="2016-02-28")
+    schedule = run(small(), end_date="2015-02-28")
     check_nothing_observed(schedule, n_night=0)
     assert set(schedule.target_status["reason"]) == {"no-season"}
     assert "no night" in schedule.warnings[0]

@@ -104,7 +104,7 @@ class Ephemeris:
 
 
 def make_ephemeris(site: Site, first: date, last: date) -> Ephemeris:
-    """Ephemeris from the noon before `first` to the noon after `last`.
+    """Ephemeris from the noon before `first` to the noon after `last`, or after `first` if that is later.
 
     References
     ----------
@@ -112,7 +112,7 @@ def make_ephemeris(site: Site, first: date, last: date) -> Ephemeris:
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - 0.2 s that the command line's help need not pay
 
-    mjd = np.arange(mjd_of(first) - 2.0, mjd_of(last) + 3.0 + _GRID_STEP_D, _GRID_STEP_D)
+    mjd = np.arange(mjd_of(first) - 2.0, mjd_of(max(first, last)) + 3.0 + _GRID_STEP_D, _GRID_STEP_D)
     heliocentric, barycentric = erfa.epv00(MJD_ZERO, mjd + _TT_UTC_D)
     earth_c = barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
     sun = -heliocentric["p"]

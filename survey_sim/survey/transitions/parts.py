@@ -32,6 +32,8 @@ def write_parts(run: Run, robots: PlateRobots) -> None:
             _write(run, robots, keys, first, name, signature)
         first += len(keys)
     _drop(run, names)
+    for table in _IN_PARTS:
+        run.table(table).mkdir(parents=True, exist_ok=True)
     tables.write(pl.concat(paths), "exposure_paths", run.table("exposure_paths"))
     robots.ways.prune({key for night in robots.nights for key in night})
 
