@@ -235,6 +235,24 @@ def test_a_damaged_part_of_nights_is_found_and_remade(pipeline: Path, finished: 
     assert table_bytes(plate_only) == table_bytes(finished)
 
 
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        ("schedule.end_date=2015-01-01", "no night from"),
+        ("schedule.weather.mean_loss_frac=1.0", "cloud takes all of the time"),
+        ("schedule.site.latitude_deg=80.0", "tiles are never within its limits of airmass and hour angle"),
+    ],
+)
+def test_schedules_of_nothing_are_sound_and_say_so(pipeline: Path, plate_only: Path, change: str, warning: str) -> None:
+    run = _open(pipeline, plate_only, change)
+    make_night_schedule(run)
+    assert tables.read(plate_only, "exposures").is_empty()
+    assert tables.read(plate_only, "exposure_allocations").is_empty()
+    assert tables.read(plate_only, "target_status")["n_observed"].sum() == 0
+    assert any(warning in told for told in tables.read_record(plate_only)["warnings"]["schedule"])
+    assert check_run(plate_only).is_passed
+
+
 def test_with_a_constant_time_robots_are_not_followed(pipeline: Path, finished: Path, plate_only: Path) -> None:
     make_night_schedule(_open(pipeline, plate_only, "schedule.configuration_s=300"))
     assert not any(tables.files(plate_only, name) for name in TABLES if name.startswith("exposure_"))
