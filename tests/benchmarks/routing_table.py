@@ -87,7 +87,8 @@ def matched(instrument: str, n_target: int, router: str, seed: int) -> Iterator[
             Task("start_to_park", plate, moved.start_mm, moved.theta_deg, plate.park_mm),
             Task("park_to_target", plate, plate.park_mm, still, goal),
         ):
-            yield task, *timed(task, settings, seed)
+            if (task.start_mm != task.goal_mm).any():
+                yield task, *timed(task, settings, seed)
         at, theta = path.end_mm, path.end_theta_deg
 
 
@@ -96,7 +97,7 @@ def with_dead(n_dead: int, router: str, seed: int) -> Iterator[tuple[Task, Route
     rng = np.random.default_rng(seed)
     plate = make_plate(load_instrument("taipan-150"))
     at = list(chain(plate, 3, 160, rng))[-1][1]
-    dead = rng.choice(plate.robot_id[plate.kind == "science"], n_dead, replace=False)
+    dead = rng.choice(plate.robot_id[~plate.is_guide], n_dead, replace=False)
     plate = make_plate(load_instrument("taipan-150"), tuple(int(robot) for robot in dead))
     task = Task("start_to_target", plate, at, np.zeros(plate.n_robot), matched_field(plate, at, 160, rng).goal_mm)
     yield task, *timed(task, RoutingSettings.load({"router": router}), seed)
