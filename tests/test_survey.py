@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -16,11 +15,11 @@ import pytest
 from survey_sim import tables
 from survey_sim.check import check_run
 from survey_sim.schema import TABLES
-from survey_sim.survey.batches import BatchResult, Workers
 from survey_sim.survey.engine import plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.stages import make_night_schedule
 from survey_sim.survey.transitions import are_parts_whole
+from survey_sim.survey.workers import Workers
 from tests.faults import COMMAND, cluster, table_bytes
 from tests.small_survey import write_small_survey
 
@@ -283,8 +282,35 @@ def test_a_second_run_in_the_same_folder_is_refused(pipeline: Path, copy: Path) 
         pass
 
 
-def test_cpu_time_is_counted_once() -> None:
-    ours = BatchResult("stars-00000", "", {}, 1, 1, 2.0, (platform.node(), os.getpid()))
-    assert not ours.is_elsewhere
-    assert replace(ours, process=(platform.node(), os.getpid() + 1)).is_elsewhere
-    assert replace(ours, process=("another", os.getpid())).is_elsewhere
+def test_what_workers_spend_is_counted_once() -> None:
+    workers = Workers(1)
+    try:
+        assert sorted(workers.stream(abs, [-2, 3])) == [2, 3]
+        assert 0 < workers.cpu_s < 60
+        assert list(workers.memory_mib) != [(platform.node(), os.getpid())]
+        assert len(workers.memory_mib) == 1
+    finally:
+        workers.close()
+    here = Workers()
+    assert list(here.stream(abs, [-2, 3])) == [2, 3]
+    assert (here.cpu_s, here.memory_mib) == (0.0, {})
+
+
+@pytest.mark.parametrize(
+    ("change", "warnings"),
+    [
+        ("tiling.region.dec_deg=[60.0, 70.0]", ["programme stars/bright has no target", "survey stars has no tile"]),
+        ("programme.faint.mag_bright=11.9999", ["programme stars/faint has no target"]),
+    ],
+)
+def test_a_footprint_without_targets_gives_tables_and_a_warning(
+    pipeline: Path, tmp_path: Path, change: str, warnings: list[str]
+) -> None:
+    run = _open(pipeline, tmp_path / "out", change)
+    with run.locked():
+        run_stages(run, skipped=("report",))
+    said = [warning for stage in tables.read_record(run.folder)["warnings"].values() for warning in stage]
+    assert set(warnings) <= set(said)
+    n_target = tables.read(run.folder, "target_status").height
+    assert n_target == tables.read(run.folder, "targets").filter(kind="science").height
+    assert check_run(run.folder).is_passed

@@ -104,6 +104,8 @@ def simulate_visits(run: Run) -> None:
     """Tiles -> robots, visits, allocations, paths, legs, robot times; a part for each batch, those whole are kept."""
     robots = pl.concat([robots_table(run.plate, survey) for survey in run.settings.surveys])
     tables.write(robots, "robots", run.table("robots"))
+    for table in set(TILE_TABLES).difference(GATHERED):
+        run.table(table).mkdir(exist_ok=True)  # a survey without tiles has tables too, without rows
     batches = make_batches(run)
     names = {batch.name for batch in batches}
     _drop_stale_parts(run, names)
