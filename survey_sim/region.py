@@ -19,6 +19,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 # ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, section 1.5.3: north Galactic pole, ICRS, deg.
 GALACTIC_POLE_DEG = (192.85948, 27.12825)
+# The whole sphere, 129600 / pi.
+SPHERE_SQ_DEG = 41_252.961
 # Order of the HATS column: a cell is 0.4 milli-arcsec wide.
 HEALPIX_ORDER = 29
 

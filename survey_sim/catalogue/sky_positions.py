@@ -8,14 +8,14 @@ import polars as pl
 from scipy.spatial import cKDTree
 
 from survey_sim.geometry import chord, unit_vectors
-from survey_sim.region import HEALPIX_ORDER, healpix_positions
+from survey_sim.region import HEALPIX_ORDER, SPHERE_SQ_DEG, healpix_positions
 
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 
 # Cells with a random stream each: 3.36 sq deg. A run on a region draws only its own, so that they are those of a whole run.
 CELL_ORDER = 5
-CELL_SQ_DEG = 41_252.961 / (12 * 4**CELL_ORDER)
+CELL_SQ_DEG = SPHERE_SQ_DEG / (12 * 4**CELL_ORDER)
 # Candidates drawn for each position wanted; where stars are so many that too few are clear, there are fewer positions.
 _SPARE_FRAC = 1.5
 

@@ -24,7 +24,7 @@ from survey_sim.catalogue.settings import PriorityBin, PriorityRule, ProgrammeSe
 from survey_sim.catalogue.sky_positions import cells_of, sky_positions
 from survey_sim.errors import InputError
 from survey_sim.geometry import chord, unit_vectors
-from survey_sim.region import HEALPIX_ORDER, Region, abs_galactic_latitude_deg, healpix_29, healpix_positions
+from survey_sim.region import HEALPIX_ORDER, SPHERE_SQ_DEG, Region, abs_galactic_latitude_deg, healpix_29, healpix_positions
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -243,10 +243,9 @@ def _by_rule(rule: PriorityRule) -> pl.Expr:
 
 def _thin(rows: pl.DataFrame, density_per_sq_deg: float) -> pl.DataFrame:
     """At most so many rows per square degree: the brightest of each HEALPix cell, ties by source_id."""
-    sphere_sq_deg = 41_252.961
-    n_cell = density_per_sq_deg * sphere_sq_deg / _N_WANTED_A_CELL
+    n_cell = density_per_sq_deg * SPHERE_SQ_DEG / _N_WANTED_A_CELL
     order = int(np.clip(np.floor(np.log(max(n_cell / 12, 1.0)) / np.log(4)), 0, HEALPIX_ORDER))
-    n_wanted = max(1, round(density_per_sq_deg * sphere_sq_deg / (12 * 4**order)))
+    n_wanted = max(1, round(density_per_sq_deg * SPHERE_SQ_DEG / (12 * 4**order)))
     cell = rows["_healpix_29"].to_numpy() >> (2 * (HEALPIX_ORDER - order))
     mag = rows["mag"].fill_null(np.inf).to_numpy()
     ranked = content_order((cell, mag, rows["_healpix_29"].to_numpy()), rows["source_id"])
