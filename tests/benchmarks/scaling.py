@@ -42,12 +42,13 @@ def main(folder: Path, *, with_workers: bool) -> None:
             axes.set(xlabel=part["what"][0], ylabel=part["unit"][0], ylim=(part["cost"].min() / 3, part["cost"].max() * 3))
             axes.set_xticks(part["n"], [str(n) for n in part["n"]])
             axes.minorticks_off()
+            axes.yaxis.set_major_formatter("{x:g}")
         figure.savefig(folder / "scaling.png", dpi=130)
     print(rows)
 
 
 def _rows(with_workers: bool) -> Iterator[dict[str, Any]]:
-    simulate_tile(tile_job(300))
+    simulate_tile(tile_job(N_TARGET[0]))
     for n in N_TARGET:
         spent, visits = _spent(lambda n=n: len(simulate_tile(tile_job(n))["visits"]))
         yield {"what": "targets a tile", "n": n, "cost": spent / visits / yardstick_s(), "unit": "CPU a visit / yardstick"}
