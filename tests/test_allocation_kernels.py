@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from survey_sim.allocation.bound_kernels import clique_parts, cliques_by_pair, most_apart, windows_within
-from survey_sim.allocation.kernels import crossings, near_lists, pick_apart, place_idle, reach_lists
+from survey_sim.allocation.kernels import (
+    crossings,
+    near_lists,
+    note_lost,
+    pick_apart,
+    place_idle,
+    reach_lists,
+    take_in_order,
+)
 from survey_sim.allocation.plan_kernels import make_items
 from tests import naive_allocation as naive
 
@@ -145,3 +153,41 @@ def test_few_targets_have_no_neighbours(n):
     first, near = near_lists(np.zeros(n), np.zeros(n), 9.0)
     assert first.tolist() == [0] * (n + 1)
     assert near.size == 0
+
+
+def test_a_slanting_pair_at_the_radius_is_not_near() -> None:
+    first, _ = near_lists(np.array([0.0, 3.0]), np.array([0.0, 4.0]), 5.0)
+    assert first.tolist() == [0, 0, 0]
+
+
+def test_a_pair_taken_closes_its_target_and_all_near_it_and_its_robot() -> None:
+    xy = np.array([[0.0, 0.0], [5.0, 0.0], [30.0, 0.0], [60.0, 0.0]])
+    first, near = near_lists(xy[:, 0], xy[:, 1], 9.0)
+    is_open, held = np.ones(4, dtype=bool), np.full(3, -1, dtype=np.int64)
+    robot, target = np.array([0, 1, 0, 1]), np.array([0, 1, 2, 2])
+    n_taken = take_in_order(robot, target, 9, first, near, np.zeros((3, 2)), xy, False, is_open, held)
+    # Target 1 is too near target 0; robot 0 holds one already; robot 1 takes the last.
+    assert n_taken == 2
+    assert held.tolist() == [0, 2, -1]
+    assert is_open.tolist() == [False, False, False, True]
+
+
+def test_an_idle_robot_that_must_go_stays_within_its_patrol_disc() -> None:
+    start, park = np.array([[12.0, 0.0], [10.0, 0.0]]), np.array([[0.0, 0.0], [10.0, 0.0]])
+    goal = np.array([[np.nan, np.nan], [10.0, 0.0]])
+    is_idle, is_live = np.array([True, False]), np.array([True, False])
+    assert place_idle(is_idle, is_live, start, park, np.array([13.0, 10.0]), 100.0, 9.0, goal) == -1
+    # The nearest place of all, 19 mm to the east, is out of reach.
+    assert np.hypot(*goal[0]) <= 13.0
+    assert np.hypot(*(goal[0] - goal[1])) >= 9.0
+
+
+def test_the_least_priority_that_was_served_instead_is_kept() -> None:
+    held, is_open = np.array([1, 2]), np.array([True, False, False])
+    first = np.zeros(4, dtype=np.int64)
+    reach_first, reach_robot = np.array([0, 2, 2, 2]), np.array([0, 1], dtype=np.int32)
+    n_clear, lowest = np.zeros(3, dtype=np.int64), np.full(3, 9, dtype=np.int64)
+    priority, is_science = np.array([9, 3, 5]), np.ones(3, dtype=bool)
+    note_lost(held, is_open, is_science, priority, first, np.empty(0, np.int32), reach_first, reach_robot, n_clear, lowest)
+    assert n_clear.tolist() == [1, 0, 0]
+    assert lowest.tolist() == [3, 9, 9]
