@@ -14,7 +14,7 @@ from survey_sim.errors import InputError
 from survey_sim.plotting import RunTables
 from survey_sim.plotting.comparison import ComparisonTables
 from survey_sim.study_schema import STUDY_TABLES
-from survey_sim.survey.compare import compare_measures, compare_runs, write_imprint
+from survey_sim.survey.compare import compare_measures, compare_runs, read_runs, write_imprint
 from survey_sim.survey.comparison_page import text_of
 from survey_sim.survey.measures import measure_run, unit_of
 from tests.report_run import write_run
@@ -137,6 +137,18 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="did you mean 'quick-1'"):
         compare_runs(dirs, tmp_path / "out", "quick-2")
     assert not (tmp_path / "out").exists()
+
+
+def test_runs_of_a_sweep_that_are_not_finished_are_left_out(tmp_path: Path) -> None:
+    for number, run_dir in enumerate(_write_runs(tmp_path / "made")):
+        place = tmp_path / "sweep" / run_dir.name[:-2] / f"seed-{run_dir.name[-1]}"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        run_dir.rename(place)
+        record = json.loads((place / "run.json").read_text())
+        record["stages"] = {"visits": {}} if number == 3 else {"visits": {}, "schedule": {}}
+        (place / "run.json").write_text(json.dumps(record))
+    found = [(run.scenario, run.seed) for run in read_runs([tmp_path / "sweep"])]
+    assert found == [("quick-1", 1), ("quick-1", 2), ("slow-1", 1)]
 
 
 def test_the_imprint_of_one_run(tmp_path: Path) -> None:

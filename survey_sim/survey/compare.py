@@ -165,11 +165,12 @@ def _student(n_pair: np.ndarray) -> np.ndarray:
 
 
 def _folders(run_dir: Path) -> Iterator[Path]:
-    """The run in a folder, or those of the sweep that is in it."""
+    """The run in a folder, or those of the sweep that is in it and are finished."""
     if (run_dir / "run.json").is_file() or not run_dir.is_dir():
         yield run_dir
         return
     inside = sorted(path.parent for path in run_dir.glob("*/seed-*/run.json"))
+    inside = [folder for folder in inside if "schedule" in tables.read_record(folder).get("stages", {})]
     if not inside:
         raise InputError("no run and no sweep here", file=run_dir, remedy="name the folder of a finished run or sweep")
     yield from inside
