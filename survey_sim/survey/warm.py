@@ -16,7 +16,10 @@ from survey_sim.survey.run import open_run
 from survey_sim.survey.specimen import write_specimen
 from survey_sim.survey.workers import Workers
 
-_NIGHT = """
+_SECTIONS = """
+[simulation]
+leg_speed_scatter_frac = 0.01
+
 [schedule]
 start_date = 2016-10-01
 end_date = 2016-10-02
@@ -26,7 +29,7 @@ end_date = 2016-10-02
 def compile_kernels() -> None:
     """Run and check a survey of one tile and 300 stars in a temporary folder."""
     with TemporaryDirectory(prefix="survey-sim-") as name:
-        run = open_run(write_specimen(Path(name), _NIGHT), Workers(), Path(name) / "run")
+        run = open_run(write_specimen(Path(name), _SECTIONS), Workers(), Path(name) / "run")
         with run.locked():
             for stage in load_stages(run):
                 if stage.name != "report":
