@@ -509,6 +509,8 @@ PAIR_FRAC = 0.002
 # First stride above what the pairs need, as a share of it; each is twice the one before, up to this many times the bound.
 FIRST_STRIDE_FRAC = 0.003
 MOST_STRIDES = 6.0
+# Pairs may raise the duration so often, each time by as little as they like; strides follow, so that the search ends.
+MAX_RAISES = 30
 # Shares are of the bound, or of this if it is longer: a field of short hops may need long detours.
 SHORT_S = 10.0
 # Back down: by this share of the way to the longest duration that failed, but at least by this share of the bound.
@@ -1158,7 +1160,8 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
     kept = stand_still(tasks, np.zeros(len(tasks), PLAN))
     unit = max(low, SHORT_S)
     failed, found, more = low, np.inf, FIRST_PAIR_FRAC * unit
-    while found > low:
+    # Plans may end so much later than the duration that they were made for; that is no longer duration.
+    while found > low + SAME_DELAY_S:
         if found == np.inf:
             trial = low + more
         elif found - failed > PAIR_FRAC * unit:
@@ -1183,7 +1186,7 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
     for k, m in ((0, i), (1, j)):
         if plans.robot[m].is_free:
             set_plan(plans, m, kept.plan[k], separation, margin)
-    return found
+    return found if found > low + SAME_DELAY_S else low
 
 
 @njit(cache=True)
@@ -1218,7 +1221,7 @@ def coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
         return True
     unit = max(bound, SHORT_S)
     low = least_of_pairs(phys, plans, rng, bound, effort, separation, margin)
-    duration, failed, more = low, bound, FIRST_STRIDE_FRAC * unit
+    duration, failed, more, n_raise = low, bound, FIRST_STRIDE_FRAC * unit, 0
     while True:
         if duration > bound:
             begin(phys, plans, rng, duration, effort.sample, separation, margin)
@@ -1226,8 +1229,9 @@ def coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
             break
         failed = duration
         raised = least_of_pairs(phys, plans, rng, duration, effort, separation, margin)
-        if raised > duration:
+        if raised > duration and n_raise < MAX_RAISES:
             low = duration = raised
+            n_raise += 1
         else:
             if more > MOST_STRIDES * unit:
                 return False
