@@ -23,7 +23,7 @@ from survey_sim.survey.export import export_run
 from survey_sim.survey.field import export_exchange
 from tests.test_field import field, instrument, xml  # noqa: F401 - fixtures
 
-FIELD_TABLES = ["robots", "targets", "tiles", "visits", "allocations", "paths", "legs", "robot_times"]
+FIELD_TABLES = ["robots", "targets", "tiles", "visits", "allocations", "paths", "legs", "robot_times", "unallocated"]
 
 
 def stilts(*words: str) -> str:
