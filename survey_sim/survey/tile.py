@@ -19,7 +19,9 @@ from survey_sim.survey.rows import PlayedPath, TileRows
 from survey_sim.tiling import Planned
 
 # A tile that completed so much of what was planned for it makes no visit more.
-PLAN_KEPT_FRAC = 0.97
+PLAN_KEPT_FRAC = 0.99
+# More visits than planned that a tile may make for what calibration displaced: a galaxy loses all five for one.
+MOST_VISITS_MORE = 3
 # What tables say of each `UnroutedReason`.
 REASON_CODES = np.array([None if reason == UnroutedReason.ARRIVED else reason.code for reason in UnroutedReason])
 
@@ -134,8 +136,8 @@ def _visit_group(
     if job.plan is not None:
         is_planned = planned_visits(field.target_id, job.plan, number)
         field = _as_planned(field, rows.field.programme[chosen], is_planned, rows.n_done[chosen])
-        # What calibration displaces may take one visit more.
-        settings = settings.model_copy(update={"max_visits": is_planned.shape[1] + int(is_planned.shape[1] > 0)})
+        n_planned = is_planned.shape[1]
+        settings = settings.model_copy(update={"max_visits": n_planned + MOST_VISITS_MORE if n_planned else 0})
     session = start_allocation(field, job.plate, settings, rng, rows.n_done[chosen], is_planned)
     visit = session.next_visit(state.position_mm)
     while visit is not None:

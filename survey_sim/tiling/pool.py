@@ -6,7 +6,7 @@ neighbour's idle fibres serve them for nothing. So visits are pooled:
 
 1. Each tile begins with as many visits as its targets fill, rounded, and plans them.
 2. What a tile cannot place is offered to all tiles that see it; those with idle fibres plan again, more than they had.
-3. While the survey lacks targets, tiles with the most waiting get one visit more.
+3. While the survey lacks targets, tiles with the most waiting get one visit more, or as many as a target wants.
 4. While it has more than it wants, the visits that bring the fewest targets are given up.
 
 Tiles that share no target plan at the same time: tiles are coloured so that no two of a colour do, and colours take turns.
@@ -136,11 +136,9 @@ class Pool:
 
     def lack(self) -> int:
         """Fibres that the targets wanted but not planned would take, over all programmes; some more than wanted."""
-        n = len(self.n_lost)
-        n_target = np.bincount(self.programme, minlength=n)
-        mean = np.bincount(self.programme, weights=self.wanted_visits, minlength=n) / np.maximum(n_target, 1)
+        n_target = np.bincount(self.programme, minlength=len(self.n_lost))
         may_wait = np.maximum(self.n_lost - _BEYOND_FRAC * n_target, 0)
-        return int(np.ceil(np.maximum(self._n_waiting() - may_wait, 0) * mean).sum())
+        return int(np.ceil(np.maximum(self._n_waiting() - may_wait, 0) * self._mean_visits()).sum())
 
     def can_spare(self, lost: IntArray) -> bool:
         """Whether the survey can do without `lost` (n_programme,) of the targets planned.
@@ -148,11 +146,18 @@ class Pool:
         A programme that lacks targets although no visit more would help still gives up visits of less than `min_gain`.
         """
         spare = self.n_lost - self._n_waiting()
-        return bool((lost <= np.maximum(spare, 0))[spare >= 0].all() and lost[spare < 0].sum() < self.min_gain)
+        n_fibre = lost * self._mean_visits()
+        return bool((lost <= np.maximum(spare, 0))[spare >= 0].all() and n_fibre[spare < 0].sum() < self.min_gain)
 
     def count(self, row: IntArray) -> IntArray:
         """(n_programme,) targets of each programme among these."""
         return np.bincount(self.programme[row], minlength=len(self.n_lost))
+
+    def _mean_visits(self) -> FloatArray:
+        """(n_programme,) visits that a target of each programme wants, on average."""
+        n = len(self.n_lost)
+        n_visit = np.bincount(self.programme, weights=self.wanted_visits, minlength=n)
+        return np.asarray(n_visit / np.maximum(np.bincount(self.programme, minlength=n), 1))
 
     def _n_waiting(self) -> IntArray:
         return np.bincount(self.programme[~self.is_done], minlength=len(self.n_lost))
@@ -289,26 +294,36 @@ def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
 def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
     """Give visits to the tiles where most targets wait, until the survey has somewhat more than it wants.
 
-    What a visit brought when it was tried last stands for what it may bring: it seldom brings more later.
+    What a visit brought when it was tried last stands for what it may bring: it seldom brings more later. But where a target
+    wants several visits, one more may bring nothing and several much (two galaxies too near to each other to be observed at
+    the same time, five visits each): a tile whose next visit brings too little tries as many as a target wants.
     """
     most = np.full(pool.n_visit.shape, float(pool.capacity))
+    stride = np.ones(pool.n_visit.shape, dtype=np.int64)
+    longest = int(pool.wanted_visits.max(initial=1))
     for _ in range(_MAX_ROUNDS):
         lack = pool.lack()
-        hope = np.minimum(pool.waiting(), most)
+        hope = np.minimum(pool.waiting() / stride, most)
         group, hope = hope.argmax(axis=1), hope.max(axis=1)
+        n_more = stride[np.arange(pool.n_tile), group]
         tiles = np.argsort(-hope, kind="stable")
         tiles = tiles[hope[tiles] >= pool.min_gain]
         if not lack or not len(tiles):
             return
         is_chosen = np.zeros(pool.n_tile, dtype=np.bool_)
-        is_chosen[tiles[: np.searchsorted(np.cumsum(hope[tiles]), lack) + 1]] = True
+        is_chosen[tiles[: np.searchsorted(np.cumsum((hope * n_more)[tiles]), lack) + 1]] = True
         for now in pool.by_colour(is_chosen):
-            orders = [pool.order(t, n_visit=pool.n_visit[t] + _one(pool, group[t])) for t in now]
+            orders = [pool.order(t, n_visit=pool.n_visit[t] + n_more[t] * _one(pool, group[t])) for t in now]
             for order, planned in zip(orders, plan_tiles(orders), strict=True):
-                gain = len(planned.row) - len(pool.plans[order.tile].row)
-                most[order.tile, group[order.tile]] = gain
+                slot = order.tile, group[order.tile]
+                gain = (len(planned.row) - len(pool.plans[order.tile].row)) / stride[slot]
                 if gain >= pool.min_gain:
+                    most[slot] = gain
                     pool.accept(order, planned)
+                elif stride[slot] < longest:
+                    stride[slot] = longest
+                else:
+                    most[slot] = gain
         _sweep(pool, pool.is_offered_more(), plan_tiles)
 
 
