@@ -62,6 +62,22 @@ def test_a_tile_with_many_waiting_gets_a_visit_more() -> None:
     assert pool.is_done.all()
 
 
+def _one_by_one(orders: Sequence[Order]) -> list[Planned]:
+    """A planner by hand of targets that want three visits each and are all too near to each other."""
+    plans = []
+    for order in orders:
+        n = min(len(order.row), order.n_visit[0] // 3)
+        plans.append(Planned(np.repeat(order.row[:n], 3), np.zeros(3 * n, np.int64), np.arange(3 * n)))
+    return plans
+
+
+def test_where_one_visit_more_brings_nothing_as_many_as_a_target_wants_are_tried() -> None:
+    pool = replace(_pool([[0, 1]], [0, 0]), wanted_visits=np.array([3, 3]), n_visit=np.array([[3]]))
+    pool_visits(pool, _one_by_one)
+    assert pool.n_visit[:, 0].tolist() == [6]
+    assert pool.is_done.all()
+
+
 def test_a_visit_that_the_survey_can_do_without_is_given_up() -> None:
     pool = _pool([[0, 1, 2, 3], [4]], [0, 0, 0, 0, 1], wanted_frac=0.8)
     pool_visits(pool, _first_come)
