@@ -481,8 +481,8 @@ _TABLES = (
                 "all; year (by its end); mag (mag); priority; density (targets of the survey per square degree in a HEALPix "
                 "cell of order 6); latitude (Galactic, absolute, deg)",
             ),
-            Column("low", FLOAT, "", "stat.min", "lower edge of the bin, included; null: none", True),
-            Column("high", FLOAT, "", "stat.max", "upper edge of the bin, not included; null: none", True),
+            Column("low", FLOAT, "", "stat.value;stat.min", "lower edge of the bin, included; null: none", True),
+            Column("high", FLOAT, "", "stat.value;stat.max", "upper edge of the bin, not included; null: none", True),
             _count("n_target", "science targets of the programme in the bin"),
             _count("n_complete", "those observed in all the visits that they want"),
             _frac("completeness_frac", "n_complete / n_target"),

@@ -200,7 +200,8 @@ def test_options_reach_the_router_and_are_refused_by_ours(packages: Path) -> Non
             model.load({"options": {"pause_s": 1.0}})
 
 
-def test_a_run_depends_on_the_code_of_the_package(packages: Path, tmp_path: Path) -> None:
+def test_a_run_depends_on_the_code_of_the_package(packages: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "turn_taking", raising=False)  # another test may have it from another folder
     run = open_run(write_specimen(tmp_path, '[routing]\nrouter = "one-at-a-time"\n'), Workers(), tmp_path / "run")
     before = parameters(run, "visits")["extensions"]
     assert before["one-at-a-time"]["package"] == "turn-taking 1.0"

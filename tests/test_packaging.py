@@ -83,11 +83,9 @@ def test_the_wheel_runs_a_survey_outside_the_checkout(built: Path, tmp_path: Pat
     rows = [f"{i},{10.0 + 0.04 * i},{-30.3 + 0.03 * i},9.0" for i in range(20)]
     (place / "stars.csv").write_text("\n".join(["source_id,ra_deg,dec_deg,mag", *rows]) + "\n")
     (place / "tiny.toml").write_text(TINY)
-    # Kernels as plain Python: nothing is compiled for 7 robots.
     environment = {
         **os.environ,
         "PYTHONPATH": str(target),
-        "NUMBA_DISABLE_JIT": "1",
         "SURVEY_SIM_CACHE": str(place / "cache"),
     }
 

@@ -72,7 +72,7 @@ def test_stages_that_a_change_does_not_touch_are_shared(finished: Path) -> None:
     for name in ("targets.parquet", "tiles.parquet", "visits.parquet", f"legs/{part}"):
         assert _inode(constant, name) == _inode(routed, name), name
     assert _inode(constant, "exposures.parquet") != _inode(routed, "exposures.parquet")
-    assert _inode(wide, "tiles.parquet") == _inode(routed, "tiles.parquet")
+    assert _inode(wide, "rejected.parquet") == _inode(routed, "rejected.parquet")
     assert _inode(wide, "visits.parquet") != _inode(routed, "visits.parquet")
     other_seed = finished / "routed" / "seed-4"
     assert (other_seed / "exposures.parquet").read_bytes() != (routed / "exposures.parquet").read_bytes()
@@ -99,7 +99,7 @@ def test_a_run_of_a_sweep_is_what_it_would_be_alone(finished: Path, sky: Path, t
 def test_a_dry_run_says_what_would_run_and_what_would_be_taken(sky: Path, finished: Path, tmp_path: Path) -> None:
     assert {line.rsplit(": ", 1)[1] for line in plan_sweep(load_sweep(sky, finished))} == {"up to date"}
     fresh = list(plan_sweep(load_sweep(sky, tmp_path / "fresh")))
-    assert len(fresh) == 6 * 4
+    assert len(fresh) == 6 * 5
     assert fresh[0] == "routed, seed 3: targets: never run"
     assert not (tmp_path / "fresh").exists()
     changed = CliRunner().invoke(
