@@ -118,6 +118,14 @@ def write_bytes(content: bytes, path: Path, aside: Path | None = None) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def write_plain(frame: pl.DataFrame, path: Path) -> bytes:
+    """Write a table that the schema does not know (a study's, a mock catalogue) as Parquet; gives the file's bytes."""
+    buffer = BytesIO()
+    frame.write_parquet(buffer, compression="zstd")
+    write_bytes(buffer.getvalue(), path)
+    return buffer.getvalue()
+
+
 def csv_bytes(frame: pl.DataFrame) -> bytes:
     """Rows as CSV. Text that a spreadsheet would take for a formula gets an apostrophe before it, so that it stays text."""
     text = [name for name, dtype in frame.schema.items() if dtype == pl.String]

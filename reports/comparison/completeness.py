@@ -7,8 +7,8 @@ the least to the greatest of the seeds (none with one seed).
 import polars as pl
 from matplotlib.figure import Figure
 
-from survey_sim.plotting.axes import as_percent, empty_figure, whole_numbers
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of, scenario_legend
+from survey_sim.plotting.axes import as_percent, empty_figure, legend_above, whole_numbers
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of
 from survey_sim.plotting.style import new_figure
 
 
@@ -31,7 +31,7 @@ def draw(comparison: ComparisonTables) -> Figure:
         as_percent(axes.yaxis)
         whole_numbers(axes.xaxis)
     panels[0].set_ylabel("Targets complete (%)")
-    scenario_legend(figure, panels)
+    legend_above(figure, panels)
     return figure
 
 

@@ -6,8 +6,8 @@ which configuration costs nothing.
 
 from matplotlib.figure import Figure
 
-from survey_sim.plotting.axes import as_percent, empty_figure
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of, scenario_legend
+from survey_sim.plotting.axes import as_percent, empty_figure, legend_above
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of
 from survey_sim.plotting.style import FAINT, new_figure
 
 
@@ -31,7 +31,7 @@ def draw(comparison: ComparisonTables) -> Figure:
         axes.set(title=survey, xlabel="Configuration time (s)", xlim=(0, 1.05 * max(longest, 1.0)), ylim=(0, 1.02))
         as_percent(axes.yaxis)
     panels[0].set_ylabel("Visits at rest (%)")
-    scenario_legend(figure, panels)
+    legend_above(figure, panels)
     return figure
 
 

@@ -10,8 +10,8 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from survey_sim.plotting.axes import as_percent, empty_figure, log_scale
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, scenario_legend
+from survey_sim.plotting.axes import as_percent, empty_figure, legend_above, log_scale
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main
 from survey_sim.plotting.style import MUTED, new_figure
 
 
@@ -40,7 +40,7 @@ def draw(comparison: ComparisonTables) -> Figure:
     as_percent(grid[0, 0].yaxis)
     grid[0, 0].set_ylabel("Pairs complete (%)")
     grid[1, 0].set_ylabel("(1 + w complete) / (1 + w all)")
-    scenario_legend(figure, list(grid[0]))
+    legend_above(figure, grid[0])
     return figure
 
 

@@ -7,8 +7,8 @@ distance from the nearest live robot's park position. Bars: one binomial standar
 import polars as pl
 from matplotlib.figure import Figure
 
-from survey_sim.plotting.axes import as_percent, empty_figure
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, scenario_legend
+from survey_sim.plotting.axes import as_percent, empty_figure, legend_above
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main
 from survey_sim.plotting.style import new_figure
 
 ROWS = (
@@ -38,7 +38,7 @@ def draw(comparison: ComparisonTables) -> Figure:
     as_percent(grid[0, 0].yaxis)
     for axes in grid[:, 0]:
         axes.set_ylabel("Targets complete (%)")
-    scenario_legend(figure, list(grid[0]))
+    legend_above(figure, grid[0])
     return figure
 
 

@@ -6,7 +6,6 @@ Below the cell's width the correlation is that of the cell.
 """
 
 from hashlib import sha256
-from io import BytesIO
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +16,7 @@ from pydantic import Field
 
 from survey_sim.region import HEALPIX_ORDER, Declination, abs_galactic_latitude_deg, healpix_positions
 from survey_sim.settings import Settings
-from survey_sim.tables import checksum, write_bytes
+from survey_sim.tables import checksum, write_bytes, write_plain
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -67,10 +66,7 @@ def make_mock(recipe: MockRecipe, path: Path, seed: int | None = None) -> str:
             "r_mag": np.floor(_magnitudes(recipe, len(cell), rng) * 1000.0) / 1000.0,
         }
     )
-    buffer = BytesIO()
-    frame.write_parquet(buffer, compression="zstd")
-    write_bytes(buffer.getvalue(), path)
-    return sha256(buffer.getvalue()).hexdigest()
+    return sha256(write_plain(frame, path)).hexdigest()
 
 
 def cached_mock(recipe: MockRecipe, name: str, cache_dir: Path) -> tuple[Path, str]:

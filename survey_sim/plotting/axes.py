@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,16 @@ def add_legend(axes: Axes, **options: Any) -> None:
     """A legend, if anything in the panel has a name."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**options)
+
+
+def legend_above(figure: Figure, panels: Iterable[Axes]) -> None:
+    """One legend above all panels, of everything that has a name in any of them."""
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if handles:
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))
 
 
 def date_axis(axes: Axes) -> None:

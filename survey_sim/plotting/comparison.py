@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import polars as pl
 from matplotlib.axes import Axes
@@ -15,9 +14,9 @@ from matplotlib.figure import Figure
 
 from survey_sim.errors import InputError
 from survey_sim.folders import data_folder
-from survey_sim.plotting.figures import DEFAULT_DPI, Script, find_scripts, load_script, save_figure
+from survey_sim.plotting.figures import Script, draw_script, find_scripts, main
 from survey_sim.plotting.study import ALGORITHM_STYLES
-from survey_sim.plotting.style import DASHES, figure_style, new_figure
+from survey_sim.plotting.style import DASHES, new_figure
 
 # Okabe and Ito's colours, and marks, so that a print in grey is still read.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9", "#E69F00")
@@ -116,27 +115,13 @@ def draw_comparison(folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[Sc
     """Draw the scripts of `reports/comparison` (or some) as PNG and PDF into `figures/`; gives each PNG with its inches."""
     comparison = ComparisonTables(folder)
     for name, script in find_scripts(data_folder("reports") / "comparison").items():
-        if only and name not in only:
-            continue
-        with figure_style():
-            figure = script.draw(cast(Any, comparison))
-            png = save_figure(figure, folder / "figures" / name, DEFAULT_DPI)
-        yield script, png, tuple(figure.get_size_inches())
+        if not only or name in only:
+            yield script, *draw_script(script, comparison, folder / "figures")
 
 
 def comparison_main(script: str) -> None:
     """Command line of a script: `python reports/comparison/NAME.py COMPARISON_DIR [OUT_DIR]`."""
-    path, arguments = Path(script), sys.argv[1:]
-    if len(arguments) not in {1, 2} or arguments[0].startswith("-"):
-        sys.exit(f"usage: python {script} COMPARISON_DIR [OUT_DIR]\n\n{load_script(path).title}.")
-    folder = Path(arguments[0])
-    stem = (Path(arguments[1]) if len(arguments) == 2 else folder / "figures") / path.stem
-    try:
-        with figure_style():
-            save_figure(load_script(path).draw(cast(Any, ComparisonTables(folder))), stem, DEFAULT_DPI)
-    except InputError as failure:
-        sys.exit(f"error: {failure}")
-    print(f"{stem}.png")
+    main(script, ComparisonTables, "COMPARISON_DIR", "figures")
 
 
 def grid_of(n_panel: int, n_column: int, height_in: float, **shared: Any) -> tuple[Figure, list[Axes]]:
@@ -148,13 +133,3 @@ def grid_of(n_panel: int, n_column: int, height_in: float, **shared: Any) -> tup
     for spare in axes[n_panel:]:
         spare.remove()
     return figure, axes[:n_panel]
-
-
-def scenario_legend(figure: Figure, axes: Sequence[Axes]) -> None:
-    """One legend above all panels."""
-    handles: dict[str, Any] = {}
-    for one in axes:
-        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    if handles:
-        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))

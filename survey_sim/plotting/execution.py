@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import polars as pl
 from matplotlib.figure import Figure
@@ -13,9 +12,9 @@ from matplotlib.figure import Figure
 from survey_sim.errors import InputError
 from survey_sim.folders import data_folder
 from survey_sim.plotting.axes import as_percent
-from survey_sim.plotting.figures import DEFAULT_DPI, find_scripts, load_script, save_figure
+from survey_sim.plotting.figures import draw_script, find_scripts, main
 from survey_sim.plotting.study import from_zero, make_grid, one_legend
-from survey_sim.plotting.style import DASHES, figure_style
+from survey_sim.plotting.style import DASHES
 
 # Okabe and Ito's colours, with dashes and marks of their own, so that a print in grey is still read.
 MODE_STYLES: dict[str, dict[str, Any]] = {
@@ -44,23 +43,13 @@ def draw_executions(folder: Path, out: Path) -> Iterator[Path]:
     """Draw every script of `reports/execution` as PNG and PDF; gives each PNG when it is done."""
     rows = read_executions(folder)
     for name, script in find_scripts(data_folder("reports") / "execution").items():
-        with figure_style():
-            save_figure(script.draw(cast(Any, rows)), out / name, DEFAULT_DPI)
+        draw_script(script, rows, out)
         yield out / f"{name}.png"
 
 
 def execution_main(script: str) -> None:
     """Command line of a script: `python reports/execution/NAME.py STUDY_DIR [OUT_DIR]`."""
-    path, arguments = Path(script), sys.argv[1:]
-    if len(arguments) not in {1, 2} or arguments[0].startswith("-"):
-        sys.exit(f"usage: python {script} STUDY_DIR [OUT_DIR]\n\n{load_script(path).title}.")
-    stem = Path(arguments[-1]) / path.stem
-    try:
-        with figure_style():
-            save_figure(load_script(path).draw(cast(Any, read_executions(Path(arguments[0])))), stem, DEFAULT_DPI)
-    except InputError as failure:
-        sys.exit(f"error: {failure}")
-    print(f"{stem}.png")
+    main(script, read_executions, "STUDY_DIR", "")
 
 
 def draw_by_margin(rows: pl.DataFrame, panels: dict[str, pl.Expr]) -> Figure:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -19,7 +20,8 @@ from survey_sim.plotting.run import RunTables
 from survey_sim.plotting.style import figure_style
 from survey_sim.tables import write_bytes
 
-Draw = Callable[[RunTables], Figure]
+# Of the tables that the script knows: of a run, a study or a comparison.
+Draw = Callable[[Any], Figure]
 DEFAULT_DPI = 150
 # The same figure gives the same bytes: no date, no version.
 _METADATA = {"png": {"Software": None}, "pdf": {"CreationDate": None, "Producer": None, "Creator": None}}
@@ -69,16 +71,22 @@ def load_script(path: Path) -> Script:
     return Script(path.stem, title.rstrip("."), " ".join(caption.split()), draw)
 
 
-def draw_script(script: Script, run: RunTables, folder: Path) -> tuple[bytes, tuple[float, float]]:
+def draw_script(script: Script, data: Any, folder: Path) -> tuple[bytes, tuple[float, float]]:
     """Draw a script's figure and save it as PNG and PDF.
+
+    Parameters
+    ----------
+    data
+        What the script draws: tables of a run, a study or a comparison.
 
     Returns
     -------
         The PNG's bytes, and the figure's width and height in inches.
     """
+    dpi = data.setting("report", "dpi") if isinstance(data, RunTables) else None
     with figure_style():
-        figure = script.draw(run)
-        png = save_figure(figure, folder / script.name, run.setting("report", "dpi") or DEFAULT_DPI)
+        figure = script.draw(data)
+        png = save_figure(figure, folder / script.name, dpi or DEFAULT_DPI)
     return png, tuple(figure.get_size_inches())
 
 
@@ -98,15 +106,25 @@ def save_figure(figure: Figure, stem: Path, dpi: int = DEFAULT_DPI) -> bytes:
     return contents["png"]
 
 
-def main(script: str) -> None:
-    """Command line of a figure script: `python reports/NAME.py RUN_DIR [OUT_DIR]`."""
-    name, arguments = Path(script).stem, sys.argv[1:]
+def main(
+    script: str, read: Callable[[Path], Any] = RunTables, word: str = "RUN_DIR", figures: str = "report/figures"
+) -> None:
+    """Command line of a figure script: `python reports/NAME.py DIR [OUT_DIR]`.
+
+    Parameters
+    ----------
+    read
+        Gives the tables of the folder `DIR`, which the usage calls `word`.
+    figures
+        Where in that folder its figures are.
+    """
+    path, arguments = Path(script), sys.argv[1:]
     if len(arguments) not in {1, 2} or arguments[0].startswith("-"):
-        sys.exit(f"usage: python {script} RUN_DIR [OUT_DIR]\n\n{load_script(Path(script)).title}.")
-    run_dir = Path(arguments[0])
-    folder = Path(arguments[1]) if len(arguments) == 2 else run_dir / "report" / "figures"
+        sys.exit(f"usage: python {script} {word} [OUT_DIR]\n\n{load_script(path).title}.")
+    source = Path(arguments[0])
+    folder = Path(arguments[1]) if len(arguments) == 2 else source / figures
     try:
-        draw_script(load_script(Path(script)), RunTables(run_dir), folder)
+        draw_script(load_script(path), read(source), folder)
     except InputError as failure:
         sys.exit(f"error: {failure}")
-    print(folder / f"{name}.png")
+    print(folder / f"{path.stem}.png")

@@ -5,12 +5,11 @@ Algorithms have Okabe and Ito's colours, and dashes and marks of their own, so t
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import polars as pl
 from matplotlib.axes import Axes
@@ -18,9 +17,9 @@ from matplotlib.figure import Figure
 
 from survey_sim.errors import InputError
 from survey_sim.folders import data_folder
-from survey_sim.plotting.axes import as_percent, whole_numbers
-from survey_sim.plotting.figures import DEFAULT_DPI, find_scripts, load_script, save_figure
-from survey_sim.plotting.style import BOUND, BOUND_DASHES, DASHES, IDEAL, IDEAL_DASHES, figure_style, new_figure
+from survey_sim.plotting.axes import as_percent, legend_above, whole_numbers
+from survey_sim.plotting.figures import draw_script, find_scripts, main
+from survey_sim.plotting.style import BOUND, BOUND_DASHES, DASHES, IDEAL, IDEAL_DASHES, new_figure
 
 ALGORITHM_STYLES: dict[str, dict[str, Any]] = {
     "cda-basic": {"color": "#D55E00", "linestyle": DASHES[1], "marker": "s"},
@@ -78,23 +77,13 @@ def draw_study(folder: Path, out: Path) -> Iterator[Path]:
     """Draw every script of `reports/allocation` as PNG and PDF; gives each PNG when it is done."""
     study = StudyTables(folder)
     for name, script in find_scripts(data_folder("reports") / "allocation").items():
-        with figure_style():
-            save_figure(script.draw(cast(Any, study)), out / name, DEFAULT_DPI)
+        draw_script(script, study, out)
         yield out / f"{name}.png"
 
 
 def study_main(script: str) -> None:
     """Command line of a script: `python reports/allocation/NAME.py STUDY_DIR [OUT_DIR]`."""
-    path, arguments = Path(script), sys.argv[1:]
-    if len(arguments) not in {1, 2} or arguments[0].startswith("-"):
-        sys.exit(f"usage: python {script} STUDY_DIR [OUT_DIR]\n\n{load_script(path).title}.")
-    stem = Path(arguments[-1]) / path.stem
-    try:
-        with figure_style():
-            save_figure(load_script(path).draw(cast(Any, StudyTables(Path(arguments[0])))), stem, DEFAULT_DPI)
-    except InputError as failure:
-        sys.exit(f"error: {failure}")
-    print(f"{stem}.png")
+    main(script, StudyTables, "STUDY_DIR", "")
 
 
 def make_grid(rows: Sequence[Any], columns: Sequence[Any], row_height_in: float = 2.5, **shared: Any) -> Grid:
@@ -112,12 +101,8 @@ def from_zero(grid: Grid) -> None:
 
 
 def one_legend(grid: Grid) -> None:
-    """One legend above all panels, of everything that has a name in any of them."""
-    handles: dict[str, Any] = {}
-    for axes in grid.panels.values():
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    grid.figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(7, len(handles)))
+    """One legend above all panels of a grid."""
+    legend_above(grid.figure, grid.panels.values())
 
 
 def draw_algorithms(axes: Axes, rows: pl.DataFrame, column: str, **options: Any) -> None:

@@ -21,11 +21,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
-from io import BytesIO
 from math import ceil
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +34,7 @@ from survey_sim import tables
 from survey_sim.allocation import AllocationSettings, FieldTargets, VisitAllocation, completeness_bound, start_allocation
 from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate, load_instrument, make_plate
+from survey_sim.survey.studies import do_each
 from survey_sim.survey.study_fields import paper_fields
 from survey_sim.survey.tile import stream
 
@@ -94,15 +92,6 @@ class Case:
         return AllocationSettings.load({**none, **own}, section="allocation")
 
 
-@dataclass(frozen=True)
-class Job:
-    """What one process does at a time."""
-
-    do: Callable[[Case, pl.DataFrame], Frames]
-    case: Case
-    table: pl.DataFrame
-
-
 def draw_paper_figures(out: Path, console: Console, *, quick: bool = False) -> pl.DataFrame:
     """Make the fields, run every case and draw every figure into one folder; gives `summarise_study`.
 
@@ -140,10 +129,11 @@ def make_study(
         Called with the runs done and all runs after each.
     """
     cases = study_cases({name: _n_science(table) for name, table in sources.items()})
-    jobs = [Job(run_case, case, sources[case.source]) for case in cases]
-    jobs += [Job(limits_of, case, sources[case.source]) for case in _plates(cases)]
+    jobs: list[tuple[Callable[[Case, pl.DataFrame], Frames], Case, pl.DataFrame]] = []
+    jobs += [(run_case, case, sources[case.source]) for case in cases]
+    jobs += [(limits_of, case, sources[case.source]) for case in _plates(cases)]
     parts: list[Frames] = []
-    for part in _each(jobs, n_worker):
+    for part in do_each(_do, jobs, n_worker):
         parts.append(part)
         advance(len(parts), len(jobs))
     made = {"targets": pl.concat([table.insert_column(0, _name(name, table)) for name, table in sources.items()])}
@@ -152,9 +142,7 @@ def make_study(
         frame = pl.concat([part[name] for part in parts if name in part])
         made[name] = frame.sort([key for key in keys if key in frame.columns], maintain_order=True)
     for name, frame in made.items():
-        buffer = BytesIO()
-        frame.write_parquet(buffer, compression="zstd")
-        tables.write_bytes(buffer.getvalue(), out / f"{name}.parquet")
+        tables.write_plain(frame, out / f"{name}.parquet")
 
 
 def study_cases(n_target: dict[str, int]) -> list[Case]:
@@ -253,14 +241,8 @@ def summarise_study(folder: Path) -> pl.DataFrame:
     )  # fmt: skip
 
 
-def _each(jobs: list[Job], n_worker: int) -> Iterator[Frames]:
-    """Results of all jobs as they finish."""
-    if n_worker <= 1:
-        yield from (job.do(job.case, job.table) for job in jobs)
-        return
-    # Not forked: polars has threads.
-    with ProcessPoolExecutor(n_worker, mp_context=get_context("spawn")) as pool:
-        yield from (done.result() for done in as_completed([pool.submit(job.do, job.case, job.table) for job in jobs]))
+def _do(job: Callable[[Case, pl.DataFrame], Frames], case: Case, table: pl.DataFrame) -> Frames:
+    return job(case, table)
 
 
 def _plates(cases: list[Case]) -> list[Case]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,8 @@ from markupsafe import Markup
 
 from survey_sim import __version__, tables
 from survey_sim.folders import data_folder
-from survey_sim.plotting import Script
 from survey_sim.plotting.comparison import ComparisonTables, draw_comparison, words_of
-from survey_sim.survey.report import NOTHING, SCREEN_DPI, environment
+from survey_sim.survey.report import NOTHING, environment, html_figure
 
 # What the first table of the page and the text show.
 KEY = (
@@ -105,20 +103,12 @@ def write_comparison(folder: Path) -> Path:
         changes=comparison.about["changes"],
         key_rows=[row for row in rows if row.measure in KEY],
         all_rows=rows,
-        figures=[_figure(*drawn) for drawn in draw_comparison(folder)],
+        figures=[html_figure(*drawn) for drawn in draw_comparison(folder)],
         style=Markup((reports / "page.css").read_text(encoding="utf-8")),
         version=__version__,
     )
     tables.write_bytes(text.encode(), folder / "index.html")
     return folder / "index.html"
-
-
-def _figure(script: Script, png: bytes, size_in: tuple[float, float]) -> Markup:
-    image = Markup('<img src="data:image/png;base64,{}" width="{}" height="{}" alt="{}">').format(
-        b64encode(png).decode(), *(round(inches * SCREEN_DPI) for inches in size_in), script.title
-    )
-    words = Markup("<figcaption><strong>{}.</strong> {}</figcaption>").format(script.title, script.caption)
-    return Markup('<figure id="{}">{}{}</figure>').format(script.name, image, words)
 
 
 def _cell(row: dict[str, Any] | None, measure: str) -> Cell:

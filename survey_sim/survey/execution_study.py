@@ -12,9 +12,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from io import BytesIO
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +24,7 @@ from survey_sim.allocation import AllocationSettings, FieldTargets, start_alloca
 from survey_sim.instrument import Plate, load_instrument, make_plate
 from survey_sim.routing import RoutedPath, RoutingSettings, route
 from survey_sim.simulation import SimulationSettings, execute
+from survey_sim.survey.studies import do_each
 from survey_sim.survey.tile import stream
 
 MODES = ("open-loop", "resync", "keep-order")
@@ -71,13 +69,11 @@ def make_execution_study(
         Called with the fields done and all fields after each.
     """
     parts: list[pl.DataFrame] = []
-    for part in _each(n_field, n_worker):
+    for part in do_each(play_field, [(field,) for field in range(n_field)], n_worker):
         parts.append(part)
         advance(len(parts), n_field)
     rows = pl.concat(parts).sort("field", "visit", "path", "margin_mm", "mode", "scatter_frac")
-    buffer = BytesIO()
-    rows.write_parquet(buffer, compression="zstd")
-    tables.write_bytes(buffer.getvalue(), out / "executions.parquet")
+    tables.write_plain(rows, out / "executions.parquet")
     return rows
 
 
@@ -176,13 +172,3 @@ def _targets(field: int, plate: Plate) -> FieldTargets:
     return FieldTargets.from_table(
         pl.DataFrame({"target_id": np.arange(N_TARGET), "kind": "science", "priority": 5, **place})
     )
-
-
-def _each(n_field: int, n_worker: int) -> Iterator[pl.DataFrame]:
-    """Tables of all fields as they finish."""
-    if n_worker <= 1:
-        yield from map(play_field, range(n_field))
-        return
-    # Not forked: polars has threads.
-    with ProcessPoolExecutor(n_worker, mp_context=get_context("spawn")) as pool:
-        yield from (done.result() for done in as_completed([pool.submit(play_field, field) for field in range(n_field)]))

@@ -46,18 +46,23 @@ class Figures:
     def show(self, name: str) -> Markup:
         """An HTML figure: the image itself, its title and its caption."""
         self._shown.add(name)
-        script, (png, (width_in, height_in)) = self.scripts[name], self.images[name]
-        image = Markup('<img src="data:image/png;base64,{}" width="{}" height="{}" alt="{}">').format(
-            b64encode(png).decode(), round(width_in * SCREEN_DPI), round(height_in * SCREEN_DPI), script.title
-        )
-        words = Markup("<figcaption><strong>{}.</strong> {}</figcaption>").format(script.title, script.caption)
-        return Markup('<figure id="{}">{}{}</figure>').format(name, image, words)
+        return html_figure(self.scripts[name], *self.images[name])
 
     def rest(self) -> Iterator[Markup]:
         """Figures that the page has not shown yet."""
         for name in self.scripts:
             if name not in self._shown:
                 yield self.show(name)
+
+
+def html_figure(script: Script, png: bytes, size_in: tuple[float, float]) -> Markup:
+    """An HTML figure that holds the image itself, with its script's title and caption; `size_in` is its width and height."""
+    width, height = (round(inches * SCREEN_DPI) for inches in size_in)
+    image = Markup('<img src="data:image/png;base64,{}" width="{}" height="{}" alt="{}">').format(
+        b64encode(png).decode(), width, height, script.title
+    )
+    words = Markup("<figcaption><strong>{}.</strong> {}</figcaption>").format(script.title, script.caption)
+    return Markup('<figure id="{}">{}{}</figure>').format(script.name, image, words)
 
 
 def make_report(run_dir: Path) -> Path:
