@@ -157,7 +157,7 @@ def test_a_tile_without_a_plan_makes_no_visit_and_gives_reasons() -> None:
     made = simulate_tile(replace(_job(30, algorithm="plan"), plan=Planned.empty()))
     assert not len(made["visits"])
     assert made["unallocated"].height == 30
-    assert set(made["unallocated"]["reason"]) == {"no-fibre-left"}
+    assert set(made["unallocated"]["reason"]) == {"no-visit"}
 
 
 def test_planned_visits_of_a_group() -> None:

@@ -176,7 +176,8 @@ class Session:
         """(n_target,) `LostReason` of every science target that is not complete; 0 for the rest."""
         field, plate = self.field, self.field.plate
         n_near = np.diff(field.near_first)
-        reason = np.full(field.targets.n_target, LostReason.NO_FIBRE_LEFT, dtype=np.int8)
+        otherwise = LostReason.NO_FIBRE_LEFT if self._n_visit else LostReason.NO_VISIT
+        reason = np.full(field.targets.n_target, otherwise, dtype=np.int8)
         reason[(field.targets.priority < self._lowest) & (self._n_visit > 0)] = LostReason.LOW_PRIORITY
         is_crowded = (self._n_clear == 0) & (self._n_visit > 0)
         reason[is_crowded] = LostReason.CROWDED

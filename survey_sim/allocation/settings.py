@@ -27,6 +27,7 @@ class LostReason(IntEnum):
     LOW_PRIORITY = 5
     NO_FIBRE_LEFT = 6
     UNROUTED = 7
+    NO_VISIT = 8
 
     @property
     def label(self) -> str:
