@@ -1,6 +1,6 @@
 """Allocation by exhaustion and plain loops: what the kernels are held against on tiny plates."""
 
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 import numpy as np
 
@@ -82,3 +82,29 @@ def least_distance_with_delay(a, b, delay, n_step=4000):
     at_a = a[0] + np.clip(time / length_a, 0, 1)[:, None] * (a[1] - a[0])
     at_b = b[0] + np.clip((time - delay) / length_b, 0, 1)[:, None] * (b[1] - b[0])
     return np.hypot(*(at_a - at_b).T).min()
+
+
+def most_covered(value, near, reach, is_shut, capacity):
+    """Most value of items in visits, and the rule that says whether visits of items (-1: none) are allowed.
+
+    `near`: pairs of items; `reach`: robots that reach each item.
+    """
+
+    def has_robots(items, free):
+        return not items or any(has_robots(items[1:], free - {robot}) for robot in reach[items[0]] & free)
+
+    def may_be(visit_of):
+        for visit, most in enumerate(capacity):
+            items = [i for i, v in enumerate(visit_of) if v == visit]
+            is_apart = all((a, b) not in near for a in items for b in items)
+            if (
+                len(items) > most
+                or is_shut[items, visit].any()
+                or not is_apart
+                or not has_robots(items, set().union(*reach))
+            ):
+                return False
+        return True
+
+    tried = product(range(-1, len(capacity)), repeat=len(value))
+    return max(value[np.array(visit_of) >= 0].sum() for visit_of in tried if may_be(visit_of)), may_be

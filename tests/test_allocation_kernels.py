@@ -1,5 +1,7 @@
 """Kernels of the allocation against plain loops."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +17,7 @@ from survey_sim.allocation.kernels import (
     reach_lists,
     take_in_order,
 )
-from survey_sim.allocation.plan_kernels import make_items
+from survey_sim.allocation.plan_kernels import cover, make_items
 from tests import naive_allocation as naive
 
 seeds = st.integers(0, 2**32 - 1)
@@ -191,3 +193,24 @@ def test_the_least_priority_that_was_served_instead_is_kept() -> None:
     note_lost(held, is_open, is_science, priority, first, np.empty(0, np.int32), reach_first, reach_robot, n_clear, lowest)
     assert n_clear.tolist() == [1, 0, 0]
     assert lowest.tolist() == [3, 9, 9]
+
+
+@no_deadline
+@given(seeds, st.integers(1, 6), st.integers(1, 2))
+def test_cover_finds_as_much_as_trying_all_visits_of_all_items(seed, n, n_visit):
+    rng = np.random.default_rng(seed)
+    park, xy = places(seed, 3, 15.0), places(seed + 1, n, 20.0)
+    first, near = near_lists(xy[:, 0].copy(), xy[:, 1].copy(), 9.0)
+    no_guide = np.zeros(n, bool)
+    reach_first, reach_robot = reach_lists(park, np.full(3, 20.0), np.zeros(3, bool), xy, no_guide, ~no_guide)
+    value, capacity = rng.integers(1, 4, n), rng.integers(1, 4, n_visit)
+    is_shut, is_open = rng.random((n, n_visit)) < 0.2, rng.random(len(reach_robot)) < 0.9
+    visit_of = np.full(n, -1)
+    best = cover(
+        200, 1_000_000, value, first, near, np.arange(n), reach_first, reach_robot, is_open, is_shut,
+        capacity, visit_of, 3, np.array([seed + 1], dtype=np.uint64),
+    )  # fmt: skip
+    reach = [set(reach_robot[a:b][is_open[a:b]].tolist()) for a, b in pairwise(reach_first)]
+    most, may_be = naive.most_covered(value, naive.near_pairs(xy, 9.0), reach, is_shut, capacity)
+    assert value[visit_of >= 0].sum() == best == most
+    assert may_be(visit_of)

@@ -9,8 +9,14 @@ items in which every colour must also be matched to robots. The search for most 
 # ruff: noqa: PLR0912, PLR0915
 # mypy: allow-untyped-defs
 
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 from numba import njit
+
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 # Exchanges with a random place, and of tails, that an item tries in a sweep with heat; most sweeps without.
 N_RANDOM = 8
@@ -63,77 +69,241 @@ def make_items(copies, near_first, near):
     return target, first, item_near
 
 
+class Cover(NamedTuple):
+    """What a search for most value reads, and where it stands; n items, m visits, q robots.
+
+    value, first, near, target, reach_first, reach_robot, is_pair_open: as in `cover`; weight: (n, m) worth of the items in
+    each visit that are near an item, `NEVER` where it is shut; visit_of, robot_of: (n,) -1 while an item waits; slot: (m, q)
+    item of each robot or -1; load: (m,) items; queue, parent, is_seen: of the augmenting paths. Best moves are looked up
+    again only where something changed: gain, n_tie: (n,) most that a waiting item brings, and visits that bring as much;
+    again: (n,) step from which that is no longer known.
+    """
+
+    value: IntArray
+    first: IntArray
+    near: npt.NDArray[np.int32]
+    target: IntArray
+    reach_first: IntArray
+    reach_robot: npt.NDArray[np.int32]
+    is_pair_open: BoolArray
+    weight: IntArray
+    visit_of: IntArray
+    robot_of: IntArray
+    slot: IntArray
+    load: IntArray
+    queue: IntArray
+    parent: IntArray
+    is_seen: BoolArray
+    gain: IntArray
+    n_tie: IntArray
+    again: IntArray
+
+
+class Course(NamedTuple):
+    """Where a search may not go yet, and what a full visit costs.
+
+    tabu: (n, m) step until which an item does not return to a visit unless that gives the best of all; closed: (n, m) step
+    until which a visit is closed to an item whatever it promises (robots in reach are held, which the gain leaves out);
+    least: (m,) worth of the least item in a full visit, 0 in others; waiting: (n,) items without a visit, the first so many.
+    """
+
+    tabu: IntArray
+    closed: IntArray
+    least: IntArray
+    waiting: IntArray
+
+
 @njit(cache=True)
-def _remove(i, value, first, near, weight, visit_of, robot_of, slot, load):
+def _weigh(s, i, v, worth):
+    """Count the worth of item i, now in visit v or (negative) out of it, for all that are near it."""
+    for k in range(s.first[i], s.first[i + 1]):
+        s.weight[s.near[k], v] += worth
+        s.again[s.near[k]] = 0
+
+
+@njit(cache=True)
+def _remove(s, i):
     """Take an item out of its visit."""
-    v = visit_of[i]
-    slot[v, robot_of[i]] = -1
-    visit_of[i] = -1
-    robot_of[i] = -1
-    load[v] -= 1
-    for k in range(first[i], first[i + 1]):
-        weight[near[k], v] -= value[i]
+    v = s.visit_of[i]
+    s.slot[v, s.robot_of[i]] = -1
+    s.visit_of[i] = -1
+    s.robot_of[i] = -1
+    s.load[v] -= 1
+    s.again[i] = 0
+    _weigh(s, i, v, -s.value[i])
 
 
 @njit(cache=True)
-def _insert(
-    i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of, slot, load,
-    must_swap, least, random, queue, parent, is_seen,
-):  # fmt: skip
+def _insert(s, i, v, least, random):
     """Bring an item into a visit by an augmenting path.
 
     Returns
     -------
         -1 if a free robot was found; else the item put out to make room: the least valuable in the way, if it is worth no
-        more than `least`; -2 if there is none. `must_swap` takes no free robot.
+        more than `least`; -2 if there is none.
     """
-    is_seen[:] = False
-    queue[0] = i
+    s.is_seen[:] = False
+    s.queue[0] = i
     n_queue, at, end = 1, 0, -1
     out = -1
-    shift = random
     while at < n_queue and end < 0:
-        x = queue[at]
+        x = s.queue[at]
         at += 1
-        t = target[x]
-        a, n = reach_first[t], reach_first[t + 1] - reach_first[t]
-        for k in range(n):
-            p = a + (k + shift) % n
-            r = reach_robot[p]
-            if is_seen[r] or not is_pair_open[p]:
+        begin, n = s.reach_first[s.target[x]], s.reach_first[s.target[x] + 1] - s.reach_first[s.target[x]]
+        shift = random % n if n else 0
+        for k in range(shift, shift + n):
+            p = begin + (k if k < n else k - n)
+            r = s.reach_robot[p]
+            if s.is_seen[r] or not s.is_pair_open[p]:
                 continue
-            is_seen[r] = True
-            parent[r] = x
-            y = slot[v, r]
+            s.is_seen[r] = True
+            s.parent[r] = x
+            y = s.slot[v, r]
             if y < 0:
-                if must_swap:
-                    continue
                 end = r
                 break
-            queue[n_queue] = y
+            s.queue[n_queue] = y
             n_queue += 1
-            if value[y] <= least:
-                least, out = value[y], y
+            if s.value[y] <= least:
+                least, out = s.value[y], y
     gone = -1
     if end < 0:
         if out < 0:
             return -2
-        end, gone = robot_of[out], out
-        _remove(out, value, first, near, weight, visit_of, robot_of, slot, load)
+        end, gone = s.robot_of[out], out
+        _remove(s, out)
     r = end
     while True:
-        x = parent[r]
-        before = robot_of[x]
-        slot[v, r] = x
-        robot_of[x] = r
+        x = s.parent[r]
+        before = s.robot_of[x]
+        s.slot[v, r] = x
+        s.robot_of[x] = r
         if x == i:
             break
         r = before
-    visit_of[i] = v
-    load[v] += 1
-    for k in range(first[i], first[i + 1]):
-        weight[near[k], v] += value[i]
+    s.visit_of[i] = v
+    s.load[v] += 1
+    _weigh(s, i, v, s.value[i])
     return gone
+
+
+@njit(cache=True)
+def _one_of_least(s, i, v, state):
+    """One of the least valuable items in a visit, i excepted, at random."""
+    n, least = 0, NEVER
+    for r in range(s.slot.shape[1]):
+        j = s.slot[v, r]
+        if j >= 0 and j != i and s.value[j] <= least:
+            n = n + 1 if s.value[j] == least else 1
+            least = s.value[j]
+    left = _random(state) % n
+    r = -1
+    while left >= 0:
+        r += 1
+        j = s.slot[v, r]
+        left -= j >= 0 and j != i and s.value[j] == least
+    return s.slot[v, r]
+
+
+@njit(cache=True)
+def _fill_up(s, wish, capacity, state):
+    """Keep what can be kept of the visits wished for, then put the most valuable and crowded items in the emptiest visits.
+
+    Gives the value of all.
+    """
+    n_item, n_visit = s.weight.shape
+    total = np.int64(0)
+    tried = np.empty(n_visit, np.bool_)
+    order = np.argsort(-(s.value * n_item + (s.first[1:] - s.first[:-1])), kind="mergesort")
+    for is_new in range(2):
+        for i in order:
+            if s.visit_of[i] >= 0 or (not is_new and wish[i] < 0):
+                continue
+            tried[:] = False
+            while True:
+                v = -1 if is_new else wish[i]
+                for u in range(n_visit if is_new else 0):
+                    if not tried[u] and s.weight[i, u] == 0 and s.load[u] < capacity[u]:
+                        v = u if v < 0 or s.load[u] < s.load[v] else v
+                if v < 0 or tried[v] or s.weight[i, v] > 0 or s.load[v] >= capacity[v]:
+                    break
+                tried[v] = True
+                if _insert(s, i, v, -1, _random(state)) == -1:
+                    total += s.value[i]
+                    break
+    return total
+
+
+@njit(cache=True)
+def _promise(worth, weight, least, tabu, closed, step, to_beat):
+    """What an item brings in a visit, `-NEVER` if it may not go there, and the step until which that holds."""
+    if weight >= NEVER:
+        return -NEVER, NEVER
+    if closed > step:
+        return -NEVER, closed
+    d = worth - (weight if weight > 0 else least)
+    if tabu <= step:
+        return d, NEVER
+    if d <= 0:  # brings no best of all
+        return -NEVER, tabu
+    return (d if d > to_beat else -NEVER), step + 1
+
+
+@njit(cache=True)
+def _best_move(
+    waiting, n_waiting, value, weight, least, tabu, closed, step, to_beat, gain, n_tie, again, state
+):  # fmt: skip
+    """Place in `waiting` and visit of a move that brings most, one of all such at random; (-1, -1) if there is none.
+
+    What each item brings is looked up where it is not known: `gain`, `n_tie`, `again` as in `Cover`.
+    """
+    n_visit = len(least)
+    most, n_most = -NEVER, 0
+    for k in range(n_waiting):
+        i = waiting[k]
+        if again[i] <= step:
+            best, n, known = -NEVER, 0, NEVER
+            for v in range(n_visit):
+                d, until = _promise(value[i], weight[i, v], least[v], tabu[i, v], closed[i, v], step, to_beat)
+                known = min(known, until)
+                if d > best:
+                    best, n = d, 1
+                elif d == best and d > -NEVER:
+                    n += 1
+            gain[i], n_tie[i], again[i] = best, n, known
+        if gain[i] > most:
+            most, n_most = gain[i], n_tie[i]
+        elif gain[i] == most:
+            n_most += n_tie[i]
+    if most < -NEVER // 2:
+        return -1, -1
+    left = _random(state) % n_most
+    k = 0
+    while gain[waiting[k]] < most or left >= n_tie[waiting[k]]:
+        left -= n_tie[waiting[k]] if gain[waiting[k]] == most else 0
+        k += 1
+    i, v = waiting[k], -1
+    while left >= 0:
+        v += 1
+        d, _ = _promise(value[i], weight[i, v], least[v], tabu[i, v], closed[i, v], step, to_beat)
+        left -= d == most
+    return k, v
+
+
+@njit(cache=True)
+def _set_least(s, c, v, is_full, n_waiting):
+    """Note the least item in a full visit, and which items that alters the promise of."""
+    least = np.int64(0)
+    if is_full:
+        least = NEVER
+        for r in range(s.slot.shape[1]):
+            if s.slot[v, r] >= 0:
+                least = min(least, s.value[s.slot[v, r]])
+    if least != c.least[v]:
+        c.least[v] = least
+        for k in range(n_waiting):
+            if s.weight[c.waiting[k], v] == 0:
+                s.again[c.waiting[k]] = 0
 
 
 @njit(cache=True)
@@ -167,110 +337,73 @@ def cover(
         Value of the best assignment.
     """
     n_item, n_visit = len(value), len(capacity)
-    slot = np.full((n_visit, n_robot), -1, np.int64)
-    load = np.zeros(n_visit, np.int64)
-    weight = np.zeros((n_item, n_visit), np.int64)
-    tabu = np.zeros((n_item, n_visit), np.int64)
-    # Until this step a visit is closed to an item whatever it promises: robots in reach are held, which the gain leaves out.
-    closed = np.zeros((n_item, n_visit), np.int64)
-    waiting = np.empty(n_item, np.int64)
-    queue, parent = np.empty(n_robot + 1, np.int64), np.empty(n_robot, np.int64)
-    is_seen = np.empty(n_robot, np.bool_)
-    n_waiting = 0
-    total = np.int64(0)
+    wish = visit_of.copy()
+    visit_of[:] = -1
+    s = Cover(
+        value, first, near, target, reach_first, reach_robot, is_pair_open,
+        np.zeros((n_item, n_visit), np.int64), visit_of, np.full(n_item, -1, np.int64),
+        np.full((n_visit, n_robot), -1, np.int64), np.zeros(n_visit, np.int64),
+        np.empty(n_robot + 1, np.int64), np.empty(n_robot, np.int64), np.empty(n_robot, np.bool_),
+        np.zeros(n_item, np.int64), np.zeros(n_item, np.int64), np.zeros(n_item, np.int64),
+    )  # fmt: skip
+    c = Course(
+        np.zeros((n_item, n_visit), np.int64), np.zeros((n_item, n_visit), np.int64),
+        np.zeros(n_visit, np.int64), np.empty(n_item, np.int64),
+    )  # fmt: skip
     for i in range(n_item):
         for v in range(n_visit):
             if is_shut[target[i], v] or capacity[v] == 0:
-                weight[i, v] = NEVER
-    wish = visit_of.copy()
-    visit_of[:] = -1
-    robot_of = np.full(n_item, -1, np.int64)
-    # First what can be kept of the old assignment, then the most valuable and most crowded items into the emptiest visits.
-    order = np.argsort(-(value * n_item + (first[1:] - first[:-1])), kind="mergesort")
-    for is_new in range(2):
-        for i in order:
-            if visit_of[i] >= 0 or (not is_new and wish[i] < 0):
-                continue
-            tried = np.zeros(n_visit, np.bool_)
-            while True:
-                v = -1 if is_new else wish[i]
-                for u in range(n_visit if is_new else 0):
-                    if not tried[u] and weight[i, u] == 0 and load[u] < capacity[u] and (v < 0 or load[u] < load[v]):
-                        v = u
-                if v < 0 or tried[v] or weight[i, v] > 0 or load[v] >= capacity[v]:
-                    break
-                tried[v] = True
-                gone = _insert(
-                    i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of,
-                    slot, load, False, -1, _random(state), queue, parent, is_seen,
-                )  # fmt: skip
-                if gone == -1:
-                    total += value[i]
-                    break
+                s.weight[i, v] = NEVER
+    total = _fill_up(s, wish, capacity, state)
+    n_waiting = 0
     for i in range(n_item):
         if visit_of[i] < 0 and value[i] > 0 and reach_first[target[i] + 1] > reach_first[target[i]]:
-            waiting[n_waiting] = i
+            c.waiting[n_waiting] = i
             n_waiting += 1
+    for v in range(n_visit):
+        _set_least(s, c, v, s.load[v] >= capacity[v], n_waiting)
     best, best_visit = total, visit_of.copy()
     step, last = 0, 0
-    least = np.zeros(n_visit, np.int64)
     while n_waiting > 0 and best < goal and step - last < n_step:
         step += 1
-        for v in range(n_visit):
-            least[v] = 0
-            if load[v] >= capacity[v]:
-                least[v] = NEVER
-                for r in range(n_robot):
-                    if slot[v, r] >= 0:
-                        least[v] = min(least[v], value[slot[v, r]])
-        gain, n_tie, place, visit = -NEVER, 0, -1, -1
-        for k in range(n_waiting):
-            i = waiting[k]
-            for v in range(n_visit):
-                w = weight[i, v]
-                d = value[i] - (w if w > 0 else least[v])
-                if d < gain or closed[i, v] > step:
-                    continue
-                if tabu[i, v] > step and total + d <= best:
-                    continue
-                if d > gain:
-                    gain, n_tie, place, visit = d, 1, k, v
-                else:
-                    n_tie += 1
-                    if _random(state) % n_tie == 0:
-                        place, visit = k, v
-        if place < 0 or gain < -NEVER // 2:
+        place, v = _best_move(
+            c.waiting, n_waiting, value, s.weight, c.least, c.tabu, c.closed, step, best - total,
+            s.gain, s.n_tie, s.again, state,
+        )  # fmt: skip
+        if place < 0:
             continue
-        i, v = waiting[place], visit
+        i = c.waiting[place]
         n_waiting -= 1
-        waiting[place] = waiting[n_waiting]
-        if weight[i, v] > 0:
+        c.waiting[place] = c.waiting[n_waiting]
+        if s.weight[i, v] > 0:
             for k in range(first[i], first[i + 1]):
                 j = near[k]
                 if visit_of[j] == v:
-                    _remove(j, value, first, near, weight, visit_of, robot_of, slot, load)
+                    _remove(s, j)
                     total -= value[j]
-                    tabu[j, v] = step + 8 + _random(state) % 10
-                    waiting[n_waiting] = j
+                    c.tabu[j, v] = step + 8 + _random(state) % 10
+                    c.waiting[n_waiting] = j
                     n_waiting += 1
-        is_full = load[v] >= capacity[v]
-        gone = _insert(
-            i, v, value, first, near, target, reach_first, reach_robot, is_pair_open, weight, visit_of, robot_of, slot, load,
-            is_full, value[i], _random(state), queue, parent, is_seen,
-        )  # fmt: skip
+        is_full = s.load[v] >= capacity[v]
+        gone = _insert(s, i, v, value[i], _random(state))
+        if gone == -1 and is_full:
+            gone = _one_of_least(s, i, v, state)
+            _remove(s, gone)
         if gone == -2:
-            waiting[n_waiting] = i
+            c.waiting[n_waiting] = i
             n_waiting += 1
-            closed[i, v] = step + 50
+            c.closed[i, v] = step + 50
+            s.again[i] = 0
         else:
             total += value[i]
             if gone >= 0:
                 total -= value[gone]
-                tabu[gone, v] = step + 8 + _random(state) % 10
+                c.tabu[gone, v] = step + 8 + _random(state) % 10
                 if not is_full:
-                    closed[gone, v] = tabu[gone, v]
-                waiting[n_waiting] = gone
+                    c.closed[gone, v] = c.tabu[gone, v]
+                c.waiting[n_waiting] = gone
                 n_waiting += 1
+        _set_least(s, c, v, s.load[v] >= capacity[v], n_waiting)
         if total > best:
             best, last = total, step
             best_visit[:] = visit_of
