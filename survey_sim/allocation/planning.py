@@ -120,7 +120,12 @@ class Search:
     """The items of one plan and the searches over them; `guides` may be shared by plans of the same field."""
 
     def __init__(
-        self, field: Field, request: VisitRequest, state: np.ndarray, guides: "PlannedGuides | None" = None
+        self,
+        field: Field,
+        request: VisitRequest,
+        state: np.ndarray,
+        guides: "PlannedGuides | None" = None,
+        capacity: int | None = None,
     ) -> None:
         self.field, self.request, self.state = field, request, state
         targets, settings = field.targets, field.settings
@@ -134,7 +139,7 @@ class Search:
         self.value = np.maximum(1, np.round(worth[self.item_target])).astype(np.int64)
         n_standard, n_sky = ((is_served & (targets.kind == code)).sum() for code in (STANDARD, SKY))
         n_reserved = min(settings.wanted_standard, n_standard) + min(settings.wanted_sky, n_sky)
-        self.capacity = max(0, field.plate.n_science_live - int(n_reserved))
+        self.capacity = max(0, field.plate.n_science_live - int(n_reserved)) if capacity is None else capacity
 
     def least_visits(self) -> int:
         """Fewest visits that could do."""
@@ -179,8 +184,11 @@ class Search:
             n_visit, visit_of, guides = n_visit + more, wider, wider_guides
         return n_visit, visit_of, guides
 
-    def fill(self, n_visit: int, visit_of: IntArray) -> tuple[IntArray, list[IntArray]]:
-        """Most value in so many visits; targets that cannot get all their visits are given up, the least begun first."""
+    def fill(self, n_visit: int, visit_of: IntArray, *, is_in_part: bool = True) -> tuple[IntArray, list[IntArray]]:
+        """Most value in so many visits; targets that cannot get all their visits are given up, the least begun first.
+
+        `is_in_part`: fibres that are left then go to those given up.
+        """
         guides = self.guides.first(n_visit)
         is_shut = self._shut(guides)
         is_dropped = (self.copies > n_visit)[self.item_target]
@@ -193,7 +201,7 @@ class Search:
             share = placed[is_partial] / self.copies[is_partial]
             is_partial[is_partial] = share <= np.median(share)
             is_dropped |= is_partial[self.item_target]
-        if is_dropped.any():
+        if is_in_part and is_dropped.any():
             visit_of = self._cover(n_visit, visit_of, is_dropped & False, is_shut, np.where(is_dropped, 1, self.value))
         return visit_of, guides
 

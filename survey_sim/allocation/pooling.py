@@ -21,18 +21,23 @@ def plan_visits(
     is_open: BoolArray,
     n_visit: int,
     kept: BoolArray,
+    capacity: int,
     rng: np.random.Generator,
 ) -> BoolArray:
     """The targets that a number of visits of a tile complete, and when; the ways between the visits are left open.
 
     Parameters
     ----------
+    targets
+        Science targets and guides; the other kinds need no place in the plan, only fibres.
     is_open
         (n_target,) science targets that may be planned; all of the other kinds may be.
     n_visit
         Visits.
     kept
         (n_target, n_kept) an older plan to begin from.
+    capacity
+        Science fibres of a visit.
 
     Returns
     -------
@@ -42,15 +47,15 @@ def plan_visits(
     is_free = field.is_on_plate & ~field.blocked_by(plate.park_mm[~plate.is_live]) & (is_open | ~targets.is_science)
     missing = np.where(targets.is_science & is_free, targets.wanted_visits, 0)
     request = VisitRequest(0, plate.park_mm, is_free, np.ones(len(field.reach_robot), dtype=bool), missing)
-    search = Search(field, request, rng.integers(1, 2**63, size=1, dtype=np.uint64))
+    search = Search(field, request, rng.integers(1, 2**63, size=1, dtype=np.uint64), capacity=capacity)
     # A fibre is worth as much to a target that wants many visits as to one that wants one.
     search.value = np.round(VALUE_UNIT * field.value[search.item_target]).astype(np.int64)
-    visit_of, _ = search.fill(n_visit, search.visits_of(kept[:, :n_visit]))
+    visit_of, _ = search.fill(n_visit, search.visits_of(kept[:, :n_visit]), is_in_part=False)
     for _ in range(N_FAVOUR):
         lack = search.lack(visit_of)
         if not lack.any() or not search.favour(lack > 0):
             break
-        visit_of, _ = search.fill(n_visit, visit_of)
+        visit_of, _ = search.fill(n_visit, visit_of, is_in_part=False)
     return _completed(search, n_visit, visit_of)
 
 

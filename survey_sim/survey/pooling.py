@@ -70,6 +70,7 @@ class _Task:
     """Tiles that a worker plans at a time."""
 
     rules: PoolRules
+    capacity: int
     orders: tuple[_TileOrder, ...]
     place: int
 
@@ -107,9 +108,11 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
     tiles
         Rows of `tiles` of the survey.
     """
+    capacity = _capacity(rules, targets["kind"])
+    targets = targets.filter(pl.col("kind").is_in(["science", "guide"]))
     known = FieldTargets.from_table(targets.with_columns(x_mm=pl.lit(0.0), y_mm=pl.lit(0.0)), rules.wanted_frac)
     row = np.flatnonzero(known.is_science)
-    pool = _begin(rules, targets[row], subset(known, row), tiles, _capacity(rules, targets["kind"]))
+    pool = _begin(rules, targets[row], subset(known, row), tiles, capacity)
     shared = members(tiles, targets, rules.plate.instrument.field_radius_deg)
     centres = tiles.select("ra_deg", "dec_deg").rows()
     sky_deg = targets.select("ra_deg", "dec_deg").to_numpy()
@@ -123,7 +126,7 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
             asked.append(
                 _TileOrder(order.tile, centres[order.tile], subset(known, some), sky_deg[some], order.n_visit, kept)
             )
-        tasks = [_Task(rules, tuple(some), place) for place, some in enumerate(_chunks(asked, _TILES_A_TASK))]
+        tasks = [_Task(rules, capacity, tuple(some), place) for place, some in enumerate(_chunks(asked, _TILES_A_TASK))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
         return [replace(plan, row=np.searchsorted(target_id, plan.row)) for _, plans in done for plan in plans]
 
@@ -172,10 +175,10 @@ def _chunks(orders: list[_TileOrder], n: int) -> Iterator[list[_TileOrder]]:
 
 
 def _plan_task(task: _Task) -> tuple[int, list[Planned]]:
-    return task.place, [_plan_tile(task.rules, order) for order in task.orders]
+    return task.place, [_plan_tile(task.rules, task.capacity, order) for order in task.orders]
 
 
-def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
+def _plan_tile(rules: PoolRules, capacity: int, order: _TileOrder) -> Planned:
     """Plan the visits of one tile, group after group; rows are target ids."""
     scale = rules.plate.instrument.plate_scale_arcsec_mm
     x_mm, y_mm = sky_to_plate(order.sky_deg[:, 0], order.sky_deg[:, 1], order.centre_deg, scale).T.copy()
@@ -187,7 +190,7 @@ def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
         if order.n_visit[group]:
             n_visit = int(order.n_visit[group])
             kept = planned_visits(part.target_id, order.kept, group, n_visit)
-            planned = plan_visits(part, rules.plate, rules.allocation, ~is_done[chosen], n_visit, kept, rng)
+            planned = plan_visits(part, rules.plate, rules.allocation, ~is_done[chosen], n_visit, kept, capacity, rng)
             target, visit = np.nonzero(planned)
             is_done[chosen[target]] = True
             parts.append(Planned(part.target_id[target], np.full(len(target), group), visit))
