@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import maximum_flow
 
 from survey_sim.allocation.bound_kernels import clique_parts, cliques_by_pair, most_apart, windows_within
 from survey_sim.allocation.field import Field, make_field
+from survey_sim.allocation.kernels import near_among
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
 from survey_sim.instrument import Plate
@@ -105,12 +106,8 @@ def _linear(field: Field, chosen: IntArray, missing: IntArray, n_visits: int, n_
 
 def _neighbours(field: Field, chosen: IntArray) -> tuple[FloatArray, float, IntArray, npt.NDArray[np.int32]]:
     """Arguments of the clique kernels for some of the targets, numbered among themselves."""
-    number = np.full(field.targets.n_target, -1, dtype=np.int32)
-    number[chosen] = np.arange(len(chosen))
-    owner = np.repeat(np.arange(field.targets.n_target), np.diff(field.near_first))
-    is_kept = (number[owner] >= 0) & (number[field.near] >= 0)
-    first = np.searchsorted(number[owner[is_kept]], np.arange(len(chosen) + 1))
-    return np.ascontiguousarray(field.xy_mm[chosen]), field.separation_mm, first, number[field.near[is_kept]]
+    first, near = near_among(chosen, field.targets.n_target, field.near_first, field.near)
+    return np.ascontiguousarray(field.xy_mm[chosen]), field.separation_mm, first, near
 
 
 def _rank_rows(field: Field, chosen: IntArray, n_visits: int) -> tuple[list[IntArray], list[int]]:

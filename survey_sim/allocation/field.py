@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.allocation.kernels import near_lists, reach_lists
+from survey_sim.allocation.kernels import near_any, near_lists, nearest_squared, reach_lists
 from survey_sim.allocation.minima import Minima, sectors
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTargets, FloatArray, IntArray
@@ -71,18 +71,11 @@ class Field:
 
     def near_any(self, target: IntArray) -> BoolArray:
         """(n_target,) targets that are one of those given, or too close to one."""
-        is_near = np.zeros(self.targets.n_target, dtype=bool)
-        is_near[target] = True
-        for t in target:
-            is_near[self.near[self.near_first[t] : self.near_first[t + 1]]] = True
-        return is_near
+        return near_any(target, self.near_first, self.near, self.targets.n_target)
 
     def blocked_by(self, position_mm: FloatArray) -> BoolArray:
         """(n_target,) targets nearer than the separation to any of the (n, 2) positions, mm."""
-        if not len(position_mm):
-            return np.zeros(self.targets.n_target, dtype=bool)
-        apart = self.xy_mm[:, None] - position_mm[None]
-        return ((apart**2).sum(axis=2) < self.separation_mm**2).any(axis=1)
+        return nearest_squared(self.xy_mm, position_mm) < self.separation_mm**2
 
 
 def with_sub_priority(field: Field, rng: np.random.Generator, worth: float) -> Field:

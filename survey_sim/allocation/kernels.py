@@ -62,6 +62,45 @@ def near_lists(x, y, radius):
 
 
 @njit(cache=True)
+def near_any(target, first, near, n_target):
+    """(n_target,) whether a target is one of those given (n,), or near one by the lists."""
+    is_near = np.zeros(n_target, np.bool_)
+    for t in target:
+        is_near[t] = True
+        for k in range(first[t], first[t + 1]):
+            is_near[near[k]] = True
+    return is_near
+
+
+@njit(cache=True)
+def near_among(chosen, n_target, first, near):
+    """Lists of near targets among those chosen (n,), numbered in their order: (first (n + 1,), near)."""
+    number = np.full(n_target, -1, np.int32)
+    number[chosen] = np.arange(len(chosen))
+    own_first = np.zeros(len(chosen) + 1, np.int64)
+    own_near = np.empty(len(near), np.int32)
+    n = 0
+    for i, t in enumerate(chosen):
+        for k in range(first[t], first[t + 1]):
+            if number[near[k]] >= 0:
+                own_near[n] = number[near[k]]
+                n += 1
+        own_first[i + 1] = n
+    return own_first, own_near[:n].copy()
+
+
+@njit(cache=True)
+def nearest_squared(xy, places):
+    """(n,) square of the distance from each point (n, 2) to the nearest of the places (m, 2); inf if there is none."""
+    nearest = np.full(len(xy), np.inf)
+    for i in range(len(xy)):
+        for j in range(len(places)):
+            dx, dy = xy[i, 0] - places[j, 0], xy[i, 1] - places[j, 1]
+            nearest[i] = min(nearest[i], dx * dx + dy * dy)
+    return nearest
+
+
+@njit(cache=True)
 def reach_lists(robot_xy, patrol, is_guide, xy, is_for_guide, is_served):
     """Robots that reach each target, as lists one after another.
 

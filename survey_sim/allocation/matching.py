@@ -3,7 +3,7 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
-from survey_sim.allocation.kernels import pick_apart, take_in_order
+from survey_sim.allocation.kernels import nearest_squared, pick_apart, take_in_order
 from survey_sim.allocation.matching_kernels import match_open
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, STANDARD, FloatArray, IntArray
 from survey_sim.allocation.untangle_kernels import untangle
@@ -67,11 +67,11 @@ def pick_calibration(field: Field, is_open: BoolArray, start_mm: FloatArray) -> 
     displaced = field.sum_near(np.where(is_open & field.targets.is_science, field.value, 0.0))
     is_served = is_open & (np.diff(field.reach_first) > 0)
     is_picked = np.zeros(field.targets.n_target, dtype=bool)
+    robot_mm = start_mm[~field.plate.is_guide & field.plate.is_live]
 
     def pick(is_candidate: BoolArray, limit: int) -> int:
         candidates = np.flatnonzero(is_candidate & is_served)
-        apart = field.xy_mm[candidates, None] - start_mm[None, ~field.plate.is_guide & field.plate.is_live]
-        nearest = (apart**2).sum(axis=2).min(axis=1, initial=np.inf)
+        nearest = nearest_squared(field.xy_mm[candidates], robot_mm)
         candidates = candidates[np.lexsort((nearest, displaced[candidates]))]
         return pick_apart(candidates, limit, field.near_first, field.near, is_open, is_picked)
 
@@ -97,7 +97,8 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
     held[extra] = -1
     is_open = request.is_open & ~field.near_any(held[held >= 0])
     target = field.pair_target()
-    pairs = np.flatnonzero(request.is_pair_open & is_open[target] & (held[field.reach_robot] < 0))
+    is_wanted = is_open & ((kind == STANDARD) | (kind == SKY))
+    pairs = np.flatnonzero(request.is_pair_open & is_wanted[target] & (held[field.reach_robot] < 0))
     apart = field.xy_mm[target[pairs]] - request.start_mm[field.reach_robot[pairs]]
     pairs = pairs[np.argsort((apart**2).sum(axis=1), kind="stable")]
     robot, pair_target = field.reach_robot[pairs], target[pairs]

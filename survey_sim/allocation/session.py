@@ -11,7 +11,7 @@ from survey_sim.allocation.closest import choose_advanced, choose_basic
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field, with_sub_priority
 from survey_sim.allocation.foreign import checked_choice
 from survey_sim.allocation.ideal import choose_ideal
-from survey_sim.allocation.kernels import crossings, note_lost, place_idle
+from survey_sim.allocation.kernels import crossings, note_lost, place_idle, reach_lists
 from survey_sim.allocation.matching import choose_matching
 from survey_sim.allocation.planning import Planner
 from survey_sim.allocation.settings import AllocationSettings, LostReason
@@ -265,9 +265,10 @@ def _make_visit(
 
 
 def _in_reach_of_any(field: Field) -> BoolArray:
-    """(n_target,) targets in the patrol disc of a robot of their kind, dead or live."""
+    """(n_target,) targets on the plate in the patrol disc of a robot of their kind, dead or live."""
     plate = field.plate
     is_for_guide = field.targets.kind == TARGET_KINDS.index("guide")
-    apart = field.xy_mm[:, None] - plate.park_mm[None]
-    is_inside = (apart**2).sum(axis=2) <= plate.patrol_radius_mm**2
-    return (is_inside & (plate.is_guide == is_for_guide[:, None])).any(axis=1)
+    first, _ = reach_lists(
+        plate.park_mm, plate.patrol_radius_mm, plate.is_guide, field.xy_mm, is_for_guide, field.is_on_plate
+    )  # fmt: skip
+    return np.diff(first) > 0
