@@ -19,13 +19,15 @@ VALUE_UNIT = 1000
 # Moves without improvement that end the search for more targets; chosen on 1,431 clustered targets, as all below.
 N_STEP = 2000
 # Rounds of shortening: robots matched anew from visit to visit, then sweeps of exchanges from hot to cold.
-N_ROUND = 3
+N_ROUND = 2
 N_SWEEP = 8
 HOT_MM, COLD_MM = 20.0, 6.0
 EXCHANGE_RADIUS_MM = 30.0
 N_EXCHANGE = 30
 # An old plan of which so much goes on is mended, not shortened again.
 KEPT_FRAC = 0.9
+# Length of searches that begin from an older plan, as a share of those that begin from nothing.
+MEND_EFFORT_FRAC = 0.3
 # Rounds that give up the targets least begun of those that cannot get all their visits.
 N_GIVE_UP = 4
 
@@ -75,8 +77,8 @@ class Planner:
         field, settings = self.field, self.field.settings
         limit = settings.max_visits if settings.visits is None else min(settings.visits, settings.max_visits)
         limit -= request.visit_id
-        search = Search(field, request, self._state)
         old = self._is_planned[:, :limit]
+        search = Search(field, request, self._state, effort_frac=MEND_EFFORT_FRAC if old.any() else 1.0)
         least = min(limit, max(search.least_visits(), old.shape[1]))
         n_visit = least if settings.visits is None else limit
         kept = search.visits_of(old)
@@ -126,8 +128,10 @@ class Search:
         state: np.ndarray,
         guides: "PlannedGuides | None" = None,
         capacity: int | None = None,
+        effort_frac: float = 1.0,
     ) -> None:
         self.field, self.request, self.state = field, request, state
+        self.n_step = round(N_STEP * field.settings.effort * effort_frac)
         targets, settings = field.targets, field.settings
         is_served = request.is_open & (np.diff(field.reach_first) > 0)
         copies = np.where(is_served & targets.is_science, request.missing, 0)
@@ -236,7 +240,7 @@ class Search:
         capacity = np.full(n_visit, self.capacity)
         most = np.sort(value)[::-1][: n_visit * self.capacity].sum()
         cover(
-            round(N_STEP * field.settings.effort), most, value, self.near_first, self.near, self.item_target,
+            self.n_step, most, value, self.near_first, self.near, self.item_target,
             field.reach_first, field.reach_robot, self.request.is_pair_open, is_shut, capacity, visit_of,
             field.plate.n_robot, self.state,
         )  # fmt: skip

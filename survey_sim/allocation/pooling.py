@@ -3,13 +3,11 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, VisitRequest, make_field
-from survey_sim.allocation.planning import VALUE_UNIT, Search
+from survey_sim.allocation.planning import MEND_EFFORT_FRAC, VALUE_UNIT, Search
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import FieldTargets
 from survey_sim.instrument import Plate
 
-# Length of its searches, as a share of those of the plan that is carried out: that one begins where these end.
-EFFORT_FRAC = 0.3
 # Times that the worth of programmes which lack targets is doubled, while others have theirs.
 N_FAVOUR = 2
 
@@ -43,11 +41,12 @@ def plan_visits(
     -------
         (n_target, n_visit) science targets planned; only those that get all visits that they want.
     """
-    field = make_field(targets, plate, settings.model_copy(update={"effort": EFFORT_FRAC * settings.effort}))
+    field = make_field(targets, plate, settings)
     is_free = field.is_on_plate & ~field.blocked_by(plate.park_mm[~plate.is_live]) & (is_open | ~targets.is_science)
     missing = np.where(targets.is_science & is_free, targets.wanted_visits, 0)
     request = VisitRequest(0, plate.park_mm, is_free, np.ones(len(field.reach_robot), dtype=bool), missing)
-    search = Search(field, request, rng.integers(1, 2**63, size=1, dtype=np.uint64), capacity=capacity)
+    state = rng.integers(1, 2**63, size=1, dtype=np.uint64)
+    search = Search(field, request, state, capacity=capacity, effort_frac=MEND_EFFORT_FRAC)
     # A fibre is worth as much to a target that wants many visits as to one that wants one.
     search.value = np.round(VALUE_UNIT * field.value[search.item_target]).astype(np.int64)
     visit_of, _ = search.fill(n_visit, search.visits_of(kept[:, :n_visit]), is_in_part=False)
