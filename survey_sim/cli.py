@@ -11,7 +11,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 import typer.core
 
-from survey_sim.cli_field import Quiet, add_field_commands
+from survey_sim.cli_field import Change, Quiet, add_field_commands
 from survey_sim.errors import InputError
 
 INTERRUPTED = 130
@@ -60,10 +60,7 @@ def run(
         typer.Argument(metavar="PIPELINE.toml", help="Pipeline or scenarios, or the name of one that is shipped (demo)."),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder of the run; runs/<name> by default.")] = None,
-    change: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: section.key=value. May be repeated."),
-    ] = None,
+    change: Change = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes on this machine; one a core by default.")] = None,
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use the dask cluster of this scheduler.")] = None,
     serial: Annotated[bool, typer.Option("--serial", help="Do everything in this process.")] = False,

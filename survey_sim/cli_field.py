@@ -30,6 +30,10 @@ Out = Annotated[
 Survey = Annotated[str | None, typer.Option(help="Survey of the run.", show_default=False)]
 Tile = Annotated[int | None, typer.Option(min=0, help="Tile of the survey.", show_default=False)]
 Visits = Annotated[list[int] | None, typer.Option(min=0, help="Visit of the tile. May be repeated.", show_default=False)]
+Change = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a setting: section.key=value. May be repeated."),
+]
 # Short heads, so that a row fits a terminal.
 _SUMMARY_HEADS = {
     "visit_id": "visit",
@@ -70,6 +74,7 @@ def allocate(
     dead: Annotated[
         list[int] | None, typer.Option(metavar="ROBOT", help="Robot that never moves. May be repeated.", show_default=False)
     ] = None,
+    change: Change = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random streams.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/field"),
     quiet: Quiet = False,
@@ -87,6 +92,7 @@ def allocate(
         centre_deg=None if centre is None else _centre(centre),
         dead=tuple(dead or ()),
         seed=seed,
+        changes=tuple(change or ()),
     )
     console = _console(quiet)
     console.print(_table(made.visits.select(*_SUMMARY_HEADS).rename(_SUMMARY_HEADS)))
@@ -105,6 +111,7 @@ def route(
         Path | None, typer.Option(metavar="POSITIONS.xml", help="Backup file of the robots' positions.", show_default=False)
     ] = None,
     instrument: Instrument = None,
+    change: Change = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random streams.")] = 1,
     out: Out = None,
     quiet: Quiet = False,
@@ -112,7 +119,9 @@ def route(
     """Route the three paths of each visit: tables, and one router file a visit."""
     from survey_sim.survey.field import route_field
 
-    made = route_field(sources, out, router=router, instrument=instrument, start=start, seed=seed)
+    made = route_field(
+        sources, out, router=router, instrument=instrument, start=start, seed=seed, changes=tuple(change or ())
+    )
     console = _console(quiet)
     console.print(_table(_path_figures(made.paths)))
     console.print(f"{len(made.files)} router files: [bold]{made.files[0].parent}[/bold]")

@@ -5,10 +5,8 @@ a VOTable may not declare entities nor point to a stream elsewhere, and compress
 """
 
 import csv
-import gzip
 import re
 import warnings
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,13 +18,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from survey_sim import packed
 from survey_sim.errors import InputError, did_you_mean
 
 # Bytes of a table, unpacked; assumed: ten times the largest catalogue of the two surveys.
 MAX_TABLE_BYTES = 2 << 30
-_BLOCK = 1 << 20
 # gzip, zstd, bzip2, xz, zip: what a parser might unpack by itself, past the limit.
-_PACKED = (b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"BZh", b"\xfd7zXZ", b"PK\x03\x04")
+_PACKED = (packed.GZIP_MAGIC, b"\x28\xb5\x2f\xfd", b"BZh", b"\xfd7zXZ", b"PK\x03\x04")
 _STREAM = re.compile(rb"<(?:[\w.-]+:)?STREAM\b")
 _INLINE_STREAM = re.compile(rb"<(?:[\w.-]+:)?STREAM\s+encoding\s*=\s*(?:\"base64\"|'base64')\s*>")
 
@@ -47,15 +45,10 @@ def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> tuple[bytes, str
     InputError
         It cannot be read, or is larger than `max_bytes`, packed or unpacked.
     """
-    try:
-        if path.stat().st_size > max_bytes:
-            raise _too_large(path, max_bytes)
-        content = path.read_bytes()
-    except OSError as failure:
-        raise InputError(f"cannot be read: {failure.strerror}", file=path, remedy="check the path and its rights") from None
+    content = packed.read_bytes(path, max_bytes)
     digest = sha256(content).hexdigest()
     if path.suffix.lower() == ".gz":
-        content = _gunzip(content, path, max_bytes)
+        content = packed.gunzip(content, path, max_bytes)
     if content.startswith(_PACKED):
         raise InputError("is packed", file=path, remedy="unpack it, or name it .gz if gzip packed it once")
     return content, digest
@@ -78,22 +71,8 @@ def parse(content: bytes, format_: str, path: Path, names: Sequence[str], max_by
         raise InputError(f"is not a readable {format_} table: {text}", file=path, remedy="make the file again") from None
 
 
-def _gunzip(content: bytes, path: Path, max_bytes: int) -> bytes:
-    blocks, size = [], 0
-    try:
-        with gzip.open(BytesIO(content)) as packed:
-            while block := packed.read(_BLOCK):
-                size += len(block)
-                if size > max_bytes:
-                    raise _too_large(path, max_bytes)
-                blocks.append(block)
-    except (OSError, EOFError, zlib.error) as failure:
-        raise InputError(f"is not a whole gzip file: {failure}", file=path, remedy="make the file again") from None
-    return b"".join(blocks)
-
-
 def _too_large(path: Path, max_bytes: int) -> InputError:
-    rule = f"larger than {max_bytes / (1 << 20):.0f} MiB once unpacked"
+    rule = f"unpacks to more than {max_bytes >> 20} MiB"
     return InputError(rule, file=path, remedy="keep only the rows and columns that the survey needs")
 
 

@@ -5,7 +5,7 @@ into checked frames in our units and back, `robots` and `moves` join the frames 
 `visits` makes whole visits of them.
 """
 
-from survey_sim.exchange.door import N_BYTES_MAX, read_bytes
+from survey_sim.exchange.door import N_BYTES_MAX
 from survey_sim.exchange.model import (
     ALLOCATION,
     CATALOGUE,
@@ -59,7 +59,6 @@ __all__ = [
     "positions_document",
     "read",
     "read_allocation",
-    "read_bytes",
     "read_columns",
     "read_plate",
     "read_positions",

@@ -5,20 +5,19 @@ entities, external or exploding), data that a STREAM would fetch from elsewhere,
 declared beyond what the file holds (the parser would allocate them).
 """
 
-import zlib
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from xml.parsers import expat
 
+from survey_sim import packed
 from survey_sim.errors import InputError
 
 # Largest file, unpacked: a hundred times the router file of 600 robots.
 N_BYTES_MAX = 256 << 20
 _DEPTH_MAX = 32
 _ARRAYSIZE_MAX = 65_536
-_GZIP_MAGIC = b"\x1f\x8b"
 
 
 @dataclass
@@ -48,18 +47,8 @@ class Outline:
 
 def read_bytes(path: Path) -> bytes:
     """Content of a file, unpacked if it is gzip, never more than `N_BYTES_MAX`."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(N_BYTES_MAX + 1)
-    except FileNotFoundError:
-        raise InputError("no such file", file=path, remedy="check the path") from None
-    except OSError as failure:
-        raise InputError(f"cannot be read: {failure.strerror}", file=path, remedy="check the path") from None
-    if content.startswith(_GZIP_MAGIC):
-        content = _unpacked(content, path)
-    if len(content) > N_BYTES_MAX:
-        raise InputError(f"holds more than {N_BYTES_MAX >> 20} MiB", file=path, remedy="split it")
-    return content
+    content = packed.read_bytes(path, N_BYTES_MAX)
+    return packed.gunzip(content, path, N_BYTES_MAX) if content.startswith(packed.GZIP_MAGIC) else content
 
 
 def check_xml(content: bytes, path: Path) -> Outline:
@@ -123,26 +112,3 @@ class _Watch:
 
     def _refuse(self, rule: str, remedy: str) -> None:
         raise InputError(f"{rule}, line {self.parser.CurrentLineNumber}", file=self.path, remedy=remedy)
-
-
-def _unpacked(content: bytes, path: Path) -> bytes:
-    parts, size = [], 0
-    unpacker = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-    try:
-        while content:
-            part = unpacker.decompress(content, N_BYTES_MAX + 1 - size)
-            parts.append(part)
-            size += len(part)
-            if size > N_BYTES_MAX:
-                rule = f"unpacks to more than {N_BYTES_MAX >> 20} MiB"
-                raise InputError(rule, file=path, remedy="give the file unpacked, or split it")
-            if unpacker.eof:
-                content = unpacker.unused_data
-                unpacker = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-            elif not unpacker.unconsumed_tail:
-                raise InputError("is a gzip file that breaks off", file=path, remedy="copy it again")
-            else:
-                content = unpacker.unconsumed_tail
-    except zlib.error as failure:
-        raise InputError(f"is not a whole gzip file: {failure}", file=path, remedy="copy it again") from None
-    return b"".join(parts)

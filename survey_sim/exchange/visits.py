@@ -91,6 +91,11 @@ class RoutedVisit:
         keys = {"survey": "", "tile_id": "tile ", "visit_id": "visit "}
         return ", ".join(f"{word}{self.params[key]}" for key, word in keys.items() if key in self.params)
 
+    @property
+    def goal_mm(self) -> FloatArray:
+        """(n_robot, 2) mm, where every robot ends."""
+        return self.end("start_to_target").position_mm
+
     def begin(self, path: str) -> Standing:
         """Where a path begins."""
         if path == "park_to_target" or (path == "start_to_target" and self.start == "park"):

@@ -35,7 +35,7 @@ it stands.
 """
 
 _STUDIES = """
-# Tables of studies
+## Tables of studies
 
 `survey-sim compare`, `imprint` and `weights` make these of finished runs; a row names its scenario, programme or target.
 """
@@ -43,14 +43,14 @@ _STUDIES = """
 
 def data_model_page() -> str:
     """The page, as Markdown."""
-    studies = "".join(_table(table) for table in STUDY_TABLES.values())
+    studies = "".join(_table(table, "###") for table in STUDY_TABLES.values())
     return _HEAD + "".join(_table(table) for table in TABLES.values()) + _STUDIES + studies
 
 
-def _table(table: Table) -> str:
+def _table(table: Table, heading: str = "##") -> str:
     where = f"{table.name}/*.parquet" if table.is_in_parts else f"{table.name}.parquet"
     lines = [
-        f"\n## {table.name}\n",
+        f"\n{heading} {table.name}\n",
         f"One row is {table.row}. File: `{where}`. Key: {', '.join(f'`{name}`' for name in table.key)}.\n",
         "| column | type | unit | meaning | UCD |",
         "|---|---|---|---|---|",

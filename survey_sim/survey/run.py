@@ -157,7 +157,7 @@ def open_run(
 def code_digest(*rooms: str) -> str:
     """Digest of the source of rooms of the package (a module or a folder each), the same wherever it is installed."""
     digest = sha256(str(SCHEMA_VERSION).encode())
-    for room in sorted({*rooms, "schema", "tables", "geometry", "instrument", "motion", "settings"}):
+    for room in sorted({*rooms, "schema", "tables", "geometry", "instrument", "motion", "region", "settings"}):
         sources = sorted((PACKAGE / room).rglob("*.py")) or [PACKAGE / f"{room}.py"]
         for source in sources:
             digest.update(source.relative_to(PACKAGE).as_posix().encode() + source.read_bytes())

@@ -193,6 +193,23 @@ def load_pipeline(path: Path, changes: Sequence[str] = (), values_set: Mapping[s
     return settings
 
 
+def changed_section(section: str, values: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """A section's values after changes `section.key=value`; for commands that have this section alone.
+
+    Raises
+    ------
+    InputError
+        A change cannot be read, or is of another section.
+    """
+    whole: dict[str, Any] = {section: dict(values)}
+    for change in changes:
+        _apply(whole, change)
+    others = [name for name in whole if name != section]
+    if others:
+        raise InputError(f"{others[0]!r} is no section here", place="--set", remedy=f"write --set {section}.key=value")
+    return whole[section]
+
+
 def recorded_pipeline(record: Mapping[str, Any], file: Path) -> PipelineSettings:
     """Settings of a run from its run.json, which holds all constants of its instrument.
 

@@ -29,7 +29,7 @@ from survey_sim.tiling import Planned, make_tiles, members
 
 # Rooms whose code each stage runs: a change there makes the stage run again.
 STAGE_ROOMS = {
-    "targets": ("catalogue",),
+    "targets": ("catalogue", "packed"),
     "tiles": ("tiling",),
     "pool": ("tiling", "allocation", "survey/pooling", "survey/tile"),
     "visits": ("allocation", "routing", "simulation", "survey/rows", "survey/tile"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from survey_sim.survey.field.folder import (
 from survey_sim.survey.field.rows import minima_params
 from survey_sim.survey.field.targets import SURVEY, field_targets, read_targets
 from survey_sim.survey.rows import TileRows
+from survey_sim.survey.settings import changed_section
 from survey_sim.survey.tile import stream
 
 # Tables that need no routes.
@@ -69,6 +70,7 @@ def allocate_field(
     dead: tuple[int, ...] = (),
     seed: int = 1,
     overrides: Mapping[str, float] | None = None,
+    changes: Sequence[str] = (),
 ) -> FieldAllocation:
     """Allocate the targets of one field, and write a run's tables and one allocation file a visit.
 
@@ -78,6 +80,8 @@ def allocate_field(
         How many; by default as many as completeness needs.
     overrides
         Constants of the instrument (speeds, say) that differ from it.
+    changes
+        Settings of the allocation that differ from their defaults, as `allocation.key=value`.
 
     Raises
     ------
@@ -85,7 +89,7 @@ def allocate_field(
         Unknown algorithm or instrument; targets that are no targets; a folder that holds something else.
     """
     values = {"algorithm": algorithm, "visits": visits, "travel_power": travel_power}
-    settings = AllocationSettings.load(values, section="allocation")
+    settings = AllocationSettings.load(changed_section("allocation", values, changes), section="allocation")
     check_out(out)
     plate = make_plate(load_instrument(instrument, overrides), dead)
     targets = read_targets(targets_path, plate, centre_deg)
@@ -94,7 +98,8 @@ def allocate_field(
     if not made:
         rule = f"no target can be reached by {plate.instrument.name}: no visit is worth its time"
         raise InputError(rule, file=targets_path, remedy="check units and --centre")
-    params: dict[str, object] = {"survey": SURVEY, "tile_id": 0, "algorithm": algorithm, "travel_power": travel_power}
+    params: dict[str, object] = {"survey": SURVEY, "tile_id": 0}
+    params |= {"algorithm": settings.algorithm, "travel_power": settings.travel_power}
     params |= {**centre_params(centre_deg), **minima_params(settings, plate)}
     files = common_files(plate, targets, centre_deg)
     rows = {name: frame for name, frame in tile_rows.frames().items() if name in TABLES_MADE}

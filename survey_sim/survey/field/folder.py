@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +12,20 @@ import polars as pl
 
 from survey_sim import __version__, tables
 from survey_sim.errors import InputError
-from survey_sim.exchange import CATALOGUE, Document, plate_documents, read, to_bytes
+from survey_sim.exchange import CATALOGUE, Document, plate_documents, to_bytes
 from survey_sim.instrument import Plate, robots_table
 from survey_sim.schema import SCHEMA_VERSION, TABLES
-from survey_sim.survey.field.targets import NOWHERE_DEG, SURVEY, targets_table
+from survey_sim.survey.field.targets import CATALOGUE_FILE, NOWHERE_DEG, SURVEY, targets_table
 
 XML = "xml"
 # The way home from the last visit, so that any order of visits has a way to park.
 STOW_FILE = "stow.xml"
-CATALOGUE_FILE = "catalogue.xml"
 # Why run.json of a single field is told from that of a pipeline.
 KIND = "field"
-_OWN_FILE = re.compile(r"(allocation|router|positions)_\w+\.xml|(system_parameters|starbugs|catalogue|stow)\.xml")
+# What a command writes beside the tables; a backup file of where the robots stopped is kept.
+_OWN_FILE = re.compile(
+    r"(allocation|router|positions)_\d+\.xml|(system_parameters|starbugs|catalogue|stow)\.xml|(paths|robot_times)\.csv"
+)
 
 
 def file_name(model: str, visit_id: int) -> str:
@@ -78,23 +79,14 @@ def write_folder(
     frames
         Rows of each table, already of the schema.
     """
-    encoded = {name: tables.encode(frame, name) for name, frame in frames.items()}
-    entries = {
-        "package": "survey-sim",
-        "version": __version__,
-        "schema_version": SCHEMA_VERSION,
-        "kind": KIND,
-        "name": out.name,
-        "instrument": plate.instrument.model_dump(mode="json"),
-        **record,
-    }
-    tables.make_folder(out)
-    _clear(out)
-    for name, content in encoded.items():
-        tables.write_bytes(content, table_path(out, name), aside=out)
-    for place, content in files.items():
-        tables.write_bytes(content, out / place, aside=out)
-    tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True) + "\n").encode(), out / "run.json")
+    encoded = {table_path(out, name): tables.encode(frame, name) for name, frame in frames.items()}
+    encoded |= {out / place: content for place, content in files.items()}
+    # Until all is written, run.json gives no instrument, and no command takes the folder for a run.
+    _write_record(out, {})
+    for path, content in encoded.items():
+        tables.write_bytes(content, path, aside=out)
+    _remove_others(out, encoded.keys())
+    _write_record(out, {"instrument": plate.instrument.model_dump(mode="json"), **record})
 
 
 def table_path(out: Path, table: str) -> Path:
@@ -126,21 +118,16 @@ def centre_params(centre_deg: tuple[float, float] | None) -> dict[str, float]:
     return {} if centre_deg is None else {"centre_ra_deg": centre_deg[0], "centre_dec_deg": centre_deg[1]}
 
 
-def catalogue_beside(path: Path) -> Document | None:
-    """The catalogue that stands beside an exchange file, if there is one."""
-    beside = path.parent / CATALOGUE_FILE
-    return read(beside, CATALOGUE) if beside.is_file() else None
+def _write_record(out: Path, entries: Mapping[str, Any]) -> None:
+    about = {"package": "survey-sim", "version": __version__, "schema_version": SCHEMA_VERSION}
+    whole = {**about, "kind": KIND, "name": out.name, **entries}
+    tables.write_bytes((json.dumps(whole, indent=2, sort_keys=True) + "\n").encode(), out / "run.json")
 
 
-def _clear(out: Path) -> None:
+def _remove_others(out: Path, kept: Collection[Path]) -> None:
     """Remove tables and exchange files of an earlier single-field run."""
-    for name, table in TABLES.items():
-        if table.is_in_parts:
-            shutil.rmtree(out / name, ignore_errors=True)
-        else:
-            (out / f"{name}.parquet").unlink(missing_ok=True)
-    for path in (out / XML).glob("*.xml"):
-        if re.fullmatch(
-            r"(allocation|router|positions)_\d+\.xml|system_parameters\.xml|starbugs\.xml|catalogue\.xml", path.name
-        ):
+    old = [path for name in TABLES for path in tables.files(out, name)]
+    old += [path for path in [*out.glob("*.csv"), *(out / XML).glob("*.xml")] if _OWN_FILE.fullmatch(path.name)]
+    for path in old:
+        if path not in kept:
             path.unlink()

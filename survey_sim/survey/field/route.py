@@ -29,7 +29,6 @@ from survey_sim.schema import PATHS
 from survey_sim.survey.field.folder import (
     STOW_FILE,
     XML,
-    catalogue_beside,
     check_out,
     common_files,
     common_tables,
@@ -38,14 +37,8 @@ from survey_sim.survey.field.folder import (
     write_folder,
 )
 from survey_sim.survey.field.rows import ALLOCATION_PARAMS, move_rows, visit_tables
-from survey_sim.survey.field.targets import (
-    SURVEY,
-    allocated_targets,
-    centre_of,
-    check_held,
-    field_targets,
-    targets_of_catalogue,
-)
+from survey_sim.survey.field.targets import SURVEY, field_targets, targets_of_files
+from survey_sim.survey.settings import changed_section
 from survey_sim.survey.tile import stream
 
 
@@ -67,6 +60,7 @@ def route_field(
     start: Path | None = None,
     seed: int = 1,
     overrides: Mapping[str, float] | None = None,
+    changes: Sequence[str] = (),
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> FieldRoutes:
     """Route the visits of allocation files one after the other, in the order given.
@@ -83,6 +77,8 @@ def route_field(
         Backup file of the robots' positions; the first visit begins there. By default from park.
     overrides
         Constants of the instrument (speeds, say) that differ from it.
+    changes
+        Settings of the routing that differ from their defaults, as `routing.key=value`.
     on_progress
         Called with the number of visits done and of all.
 
@@ -91,7 +87,7 @@ def route_field(
     InputError
         Files that do not fit, start or goals that are not legal.
     """
-    settings = RoutingSettings.load({"router": router}, section="routing")
+    settings = RoutingSettings.load(changed_section("routing", {"router": router}, changes), section="routing")
     files = find_files(sources, "allocation")
     out = out or (sources[0] if sources[0].is_dir() else Path("runs") / SURVEY)
     check_out(out)
@@ -105,7 +101,7 @@ def route_field(
         standing, plate = read_positions(start, plate)
         allocated = [replace(visit, plate=plate) for visit in allocated]
         backup = {"start_positions": _recorded(start, standing)}
-    targets, centre_deg = _targets(allocated)
+    targets, centre_deg = targets_of_files(allocated)
     lost = tables.read(sources[0], "unallocated") if tables.files(sources[0], "unallocated") else None
     routed = []
     for visit_id, visit in enumerate(allocated):
@@ -230,15 +226,3 @@ def check_plates(visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit]) -> No
 def _is_same(one: Plate, other: Plate) -> bool:
     names = ("robot_id", "is_live", "is_guide", "park_mm", "patrol_radius_mm")
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
-
-
-def _targets(visits: Sequence[AllocatedVisit]) -> tuple[pl.DataFrame, tuple[float, float] | None]:
-    """The field's targets: from the catalogue beside the files, or else those that are allocated."""
-    file = visits[0].file
-    catalogue = None if file is None else catalogue_beside(file)
-    if catalogue is not None:
-        targets = targets_of_catalogue(catalogue, visits[0].plate)
-        check_held(visits, targets)
-        return targets, centre_of(catalogue.params)
-    frames = [visit.held.with_columns(x_mm=visit.goal_mm[:, 0], y_mm=visit.goal_mm[:, 1]) for visit in visits]
-    return allocated_targets(frames, visits[0].plate, centre_of(visits[0].params)), centre_of(visits[0].params)

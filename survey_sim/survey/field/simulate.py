@@ -20,7 +20,6 @@ from survey_sim.simulation.play import SEPARATION_TOLERANCE_MM, least_separation
 from survey_sim.survey.field.folder import (
     STOW_FILE,
     XML,
-    catalogue_beside,
     check_out,
     common_files,
     common_tables,
@@ -31,14 +30,7 @@ from survey_sim.survey.field.folder import (
 )
 from survey_sim.survey.field.route import check_plates
 from survey_sim.survey.field.rows import ALLOCATION_PARAMS, move_rows, visit_tables
-from survey_sim.survey.field.targets import (
-    SURVEY,
-    allocated_targets,
-    centre_of,
-    check_held,
-    field_targets,
-    targets_of_catalogue,
-)
+from survey_sim.survey.field.targets import SURVEY, field_targets, targets_of_files
 
 # A file's initial positions are where the last one ended, to this much (what exchange files promise).
 SAME_PLACE_MM, SAME_ANGLE_DEG = 1e-3, 1e-4
@@ -100,13 +92,7 @@ def simulate_field(
     check_plates(read)
     visits = list(_in_order(read))
     plate = visits[0].plate
-    catalogue = catalogue_beside(files[0])
-    if catalogue is not None:
-        targets, centre_deg = targets_of_catalogue(catalogue, plate), centre_of(catalogue.params)
-        check_held(read, targets)
-    else:
-        centre_deg = centre_of(visits[0].params)
-        targets = allocated_targets([_reached(visit) for visit in visits], plate, centre_deg)
+    targets, centre_deg = targets_of_files(visits)
     frames = visit_tables(visits, field_targets(targets))
     texts = {f"{name}.csv": tables.csv_bytes(frames[name]) for name in ("paths", "robot_times")}
     if stop_at_s is not None:
@@ -244,11 +230,6 @@ def _turning_first(visit: RoutedVisit, path: str, turn: FloatArray) -> Legs:
 def _is_same_place(one: Standing, other: Standing) -> bool:
     same_shape = one.position_mm.shape == other.position_mm.shape
     return same_shape and bool((np.hypot(*(one.position_mm - other.position_mm).T) <= SAME_PLACE_MM).all())
-
-
-def _reached(visit: RoutedVisit) -> pl.DataFrame:
-    end = visit.end(PATHS[0]).position_mm
-    return visit.held.with_columns(x_mm=end[:, 0], y_mm=end[:, 1])
 
 
 def _record(files: Sequence[Path], visits: Sequence[RoutedVisit]) -> dict:

@@ -13,13 +13,14 @@ import polars as pl
 
 from survey_sim.allocation import FieldTargets
 from survey_sim.errors import InputError
-from survey_sim.exchange import CATALOGUE, N_BYTES_MAX, AllocatedVisit, Document, RoutedVisit, read, read_columns
+from survey_sim.exchange import CATALOGUE, N_BYTES_MAX, AllocatedVisit, RoutedVisit, read, read_columns
 from survey_sim.geometry import plate_to_sky, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.region import healpix_29
 from survey_sim.schema import TABLES, TARGET_KINDS
 
 SURVEY = "field"
+CATALOGUE_FILE = "catalogue.xml"
 # Where a field whose place on the sky nobody gave is put.
 NOWHERE_DEG = (0.0, 0.0)
 # Half the sky, from the field's centre.
@@ -51,30 +52,29 @@ def read_targets(path: Path, plate: Plate, centre_deg: tuple[float, float] | Non
     return _checked(_read(path), path, plate, centre_deg)
 
 
-def targets_of_catalogue(catalogue: Document, plate: Plate) -> pl.DataFrame:
-    """As `read_targets`, of a catalogue file that is read already; its plate positions count if it has them."""
-    frame, path = catalogue.table(), catalogue.file or Path(catalogue.model.name)
+def targets_of_files(
+    visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit],
+) -> tuple[pl.DataFrame, tuple[float, float] | None]:
+    """As `read_targets`, of the catalogue beside the visits' files, or else of the targets that they hold; and the centre.
+
+    Raises
+    ------
+    InputError
+        A visit holds a target that the catalogue does not have, or has as another kind.
+    """
+    first = visits[0]
+    beside = None if first.file is None else first.file.parent / CATALOGUE_FILE
+    if beside is None or not beside.is_file():
+        held = [visit.held.with_columns(x_mm=visit.goal_mm[:, 0], y_mm=visit.goal_mm[:, 1]) for visit in visits]
+        frame = pl.concat(held).drop_nulls("target_id").unique("target_id", keep="first").sort("target_id")
+        centre_deg = centre_of(first.params)
+        return _checked(frame, Path("allocation"), first.plate, centre_deg, is_by_sky=False), centre_deg
+    catalogue = read(beside, CATALOGUE)
+    frame, centre_deg = catalogue.table(), centre_of(catalogue.params)
     has_plate = {"x_mm", "y_mm"} <= set(frame.columns)
-    centre_deg = centre_of(catalogue.params)
-    return _checked(frame, path, plate, centre_deg, is_by_sky=not has_plate)
-
-
-def allocated_targets(visits: Sequence[pl.DataFrame], plate: Plate, centre_deg: tuple[float, float] | None) -> pl.DataFrame:
-    """As `read_targets`, of the targets that visits hold (target_id, kind, x_mm, y_mm) where no catalogue is at hand."""
-    frame = pl.concat(visits).drop_nulls("target_id").unique("target_id", keep="first").sort("target_id")
-    return _checked(frame, Path("allocation"), plate, centre_deg, is_by_sky=False)
-
-
-def check_held(visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit], targets: pl.DataFrame) -> None:
-    """Refuse visits that hold targets which the catalogue does not have, or has as another kind."""
-    known = targets.select("target_id", own_kind="kind")
-    for visit in visits:
-        held = visit.held.with_row_index("row").drop_nulls("target_id")
-        held = held.join(known, on="target_id", how="left", maintain_order="left")
-        odd = held.filter(pl.col("own_kind").is_null() | (pl.col("own_kind") != pl.col("kind")))
-        if len(odd):
-            rule = "targets are not in the catalogue beside the file, or are of another kind there"
-            raise InputError(rule, file=visit.file, place="target_id", rows=odd["target_id"].to_list())
+    targets = _checked(frame, beside, first.plate, centre_deg, is_by_sky=not has_plate)
+    _check_held(visits, targets)
+    return targets, centre_deg
 
 
 def centre_of(params: Mapping[str, Any]) -> tuple[float, float] | None:
@@ -91,6 +91,18 @@ def field_targets(targets: pl.DataFrame) -> FieldTargets:
 def targets_table(targets: pl.DataFrame) -> pl.DataFrame:
     """Rows of the run's `targets`."""
     return targets.select(TABLES["targets"].names)
+
+
+def _check_held(visits: Sequence[AllocatedVisit] | Sequence[RoutedVisit], targets: pl.DataFrame) -> None:
+    """Refuse visits that hold targets which the catalogue does not have, or has as another kind."""
+    known = targets.select("target_id", own_kind="kind")
+    for visit in visits:
+        held = visit.held.with_row_index("row").drop_nulls("target_id")
+        held = held.join(known, on="target_id", how="left", maintain_order="left")
+        odd = held.filter(pl.col("own_kind").is_null() | (pl.col("own_kind") != pl.col("kind")))
+        if len(odd):
+            rule = "targets are not in the catalogue beside the file, or are of another kind there"
+            raise InputError(rule, file=visit.file, place="target_id", rows=odd["target_id"].to_list())
 
 
 def _checked(

@@ -14,9 +14,8 @@ from survey_sim.exchange import RoutedVisit, read_router
 from survey_sim.geometry import sky_to_plate
 from survey_sim.instrument import Plate, load_instrument, make_plate
 from survey_sim.player import PlayerRun, make_page
-from survey_sim.survey.field.folder import catalogue_beside
 from survey_sim.survey.field.rows import plate_of_run, visits_of_run
-from survey_sim.survey.field.targets import allocated_targets, centre_of, targets_of_catalogue
+from survey_sim.survey.field.targets import targets_of_files
 
 _TARGET_COLUMNS = ("target_id", "kind", "priority", "mag", "x_mm", "y_mm")
 
@@ -87,16 +86,7 @@ def _run_of_tables(run_dir: Path, survey: str | None, tile_id: int | None, visit
 
 def _run_of_files(paths: Sequence[Path], given: Plate | None) -> PlayerRun:
     visits = [read_router(path, given) for path in paths]
-    plate = visits[0].plate
-    catalogue = catalogue_beside(paths[0])
-    if catalogue is not None:
-        targets = targets_of_catalogue(catalogue, plate)
-    else:
-        frames = []
-        for visit in visits:
-            end = visit.end("start_to_target").position_mm
-            frames.append(visit.held.with_columns(x_mm=end[:, 0], y_mm=end[:, 1]))
-        targets = allocated_targets(frames, plate, centre_of(visits[0].params))
+    targets, _ = targets_of_files(visits)
     parent = paths[0].resolve().parent
     return PlayerRun(_name(visits[0], parent.parent.name if parent.name == "xml" else parent.name), visits, targets)
 
