@@ -27,6 +27,8 @@ _VOPARQUET_VERSION = b"IVOA.VOTable-Parquet.version"
 _VOPARQUET_CONTENT = b"IVOA.VOTable-Parquet.content"
 _SCHEMA_VERSION = b"survey_sim.schema_version"
 _ROW_GROUP = 262_144
+# Entries of run.json that hold entries of their own.
+_SECTIONS = ("settings", "instrument", "stages", "scenario")
 TEMPORARY = ".tmp"
 # What begins a formula in a spreadsheet; not the sign of a name such as +20 1234, which is no formula alone.
 _FORMULA = r"^(?:[=@\t\r]|[+-].*[=(|!@+*/])"
@@ -192,14 +194,23 @@ def read(run_dir: Path, table: str) -> pl.DataFrame:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """A run's run.json."""
+    """A run's run.json.
+
+    Raises
+    ------
+    InputError
+        It is not there, is not JSON, or not of the form of a record.
+    """
     path = folder / "run.json"
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError("no such file", file=path, remedy="name the folder of a run") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as failure:
         raise InputError(f"is not JSON: {failure}", file=path, remedy="run the pipeline again") from None
+    if not isinstance(record, dict) or not all(isinstance(record.get(name, {}), dict) for name in _SECTIONS):
+        raise InputError("is not the record of a run", file=path, remedy="run the pipeline again")
+    return record
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

@@ -64,6 +64,7 @@ def plate_of(document: Document, plate: Plate | None = None) -> Plate:
         The file describes no plate and names no preset; its robots are not those of the plate.
     """
     frame = document.table()
+    _check_rows_once(document)
     if plate is None:
         names = {column.name for column in ROBOT_COLUMNS}
         if names <= set(frame.columns) and set(_CONSTANTS) <= set(document.params):
@@ -80,11 +81,7 @@ def plate_of(document: Document, plate: Plate | None = None) -> Plate:
 def rows_of_robots(document: Document, plate: Plate) -> pl.DataFrame:
     """The first table's rows in the plate's order: one for each robot, or an error that names the ids."""
     frame = document.table()
-    place = f"table {document.model.tables[0].name}, robot_id"
-    repeated = frame["robot_id"].is_duplicated()
-    if repeated.any():
-        rule = "two rows for one robot"
-        raise InputError(rule, file=document.file, place=place, rows=repeated.arg_true().to_list(), remedy="keep one")
+    place = _check_rows_once(document)
     known = pl.Series(plate.robot_id)
     unknown = ~frame["robot_id"].is_in(known.implode())
     if unknown.any():
@@ -94,6 +91,16 @@ def rows_of_robots(document: Document, plate: Plate) -> pl.DataFrame:
     if len(absent):
         raise InputError("robots have no row", file=document.file, place=place, rows=absent.to_list())
     return frame.sort("robot_id")
+
+
+def _check_rows_once(document: Document) -> str:
+    """Refuse a first table with two rows for one robot; gives the place of its ids, for messages."""
+    place = f"table {document.model.tables[0].name}, robot_id"
+    repeated = document.table()["robot_id"].is_duplicated()
+    if repeated.any():
+        rule = "two rows for one robot"
+        raise InputError(rule, file=document.file, place=place, rows=repeated.arg_true().to_list(), remedy="keep one")
+    return place
 
 
 def _plate(params: Mapping[str, Any], frame: pl.DataFrame, file: Path | None) -> Plate:

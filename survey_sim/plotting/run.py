@@ -55,7 +55,7 @@ class ProgrammeRow:
 
 
 class RunTables:
-    """Tables and record of one run, read when first asked for; a table that the run lacks is empty.
+    """Tables and record of one run, read when first asked for; a table that the run lacks is empty (but targets).
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class RunTables:
     @cached_property
     def science(self) -> pl.DataFrame:
         """Science targets with what became of them: `is_allocated`, `is_observed` (all wanted visits), `reason`."""
-        targets = self.scan("targets").filter(pl.col("kind") == "science")
+        targets = tables.scan(self.folder, "targets").filter(pl.col("kind") == "science")
         status = self.scan("target_status").select("target_id", "reason", has_status=pl.lit(True))
         return (
             targets.join(self._allocated(), on="target_id", how="left", maintain_order="left")
@@ -282,6 +282,6 @@ def evening_dates(evening_mjd: npt.NDArray[np.float64]) -> npt.NDArray[np.dateti
 
 def _read_record(folder: Path) -> dict[str, Any]:
     record = tables.read_record(folder)
-    if not isinstance(record, dict) or "instrument" not in record:
+    if "instrument" not in record:
         raise InputError("is not the record of a run", file=folder / "run.json", remedy="run the pipeline again")
     return record

@@ -220,10 +220,10 @@ def _status(run: Run, stage: Stage) -> tuple[list[str], Task]:
     with _memory(run) as memory:
         status = memory.get_status(task, {}, get_log=True)
         is_known = memory.get_values(stage.name) != {}
-    if status.status == "up-to-date":
-        return [], task
     if not is_known:
         return ["never finished"], task
+    if status.status == "up-to-date":
+        return [] if stage.name in run.recorded().get("stages", {}) else ["run.json does not tell of it"], task
     return list(_reasons(stage, status.reasons)), task
 
 

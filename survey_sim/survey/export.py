@@ -71,8 +71,9 @@ def export_run(
         raise InputError(rule, file=run_dir, place="--table", rows=missing, remedy=f"it has {', '.join(wanted)}")
     _check_chosen(run_dir, survey, tile_id, visit_ids)
     written = []
-    for name in wanted:
-        rows = _chosen(tables.scan(run_dir, name), name, survey, tile_id, visit_ids)
+    # All are opened before one is written: a damaged table leaves nothing behind.
+    for name, table in [(name, tables.scan(run_dir, name)) for name in wanted]:
+        rows = _chosen(table, name, survey, tile_id, visit_ids)
         n_row = rows.select(pl.len()).collect().item()
         for number, first in enumerate(range(0, max(n_row, 1), N_ROWS_MAX)):
             stem = name if n_row <= N_ROWS_MAX else f"{name}_{number:03d}"

@@ -89,19 +89,24 @@ class Run:
 
     def record(self, **entries: Any) -> None:
         """Set entries of run.json; entries that are mappings are merged."""
-        path = self.folder / "run.json"
-        known = tables.read_record(self.folder) if path.is_file() else {}
+        known = self.recorded()
         for key, value in entries.items():
             for record in (known, self.noted):
                 record[key] = {**record.get(key, {}), **value} if isinstance(value, Mapping) else value
-        tables.write_bytes((json.dumps(known, indent=2, sort_keys=True) + "\n").encode(), path)
+        tables.write_bytes((json.dumps(known, indent=2, sort_keys=True) + "\n").encode(), self.folder / "run.json")
+
+    def recorded(self) -> dict[str, Any]:
+        """What run.json holds; nothing if it is absent or damaged."""
+        try:
+            return tables.read_record(self.folder)
+        except InputError:
+            return {}
 
     def record_settings(self) -> None:
         """Start run.json: everything that the run depends on, so that a reader needs nothing else."""
         settings = self.settings.model_dump(mode="json")
         header = {"package": "survey-sim", "version": __version__, "schema_version": SCHEMA_VERSION}
-        path = self.folder / "run.json"
-        known = tables.read_record(self.folder) if path.is_file() else {}
+        known = self.recorded()
         kept: dict[str, Any] = {key: known[key] for key in ("stages", "catalogues", "targets", "warnings") if key in known}
         entries: dict[str, Any] = {
             **header,
@@ -113,7 +118,8 @@ class Run:
             **({"scenario": dict(self.scenario)} if self.scenario else {}),
             **kept,
         }
-        tables.write_bytes((json.dumps(entries, indent=2, sort_keys=True, default=str) + "\n").encode(), path)
+        content = json.dumps(entries, indent=2, sort_keys=True, default=str) + "\n"
+        tables.write_bytes(content.encode(), self.folder / "run.json")
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:

@@ -97,7 +97,7 @@ def allocate_field(
     made, tile_rows = _allocate(plate, field, settings, seed)
     if not made:
         rule = f"no target can be reached by {plate.instrument.name}: no visit is worth its time"
-        raise InputError(rule, file=targets_path, remedy="check units and --centre")
+        raise InputError(rule, file=targets_path, remedy="check units, --centre, and that calibration leaves robots")
     params: dict[str, object] = {"survey": SURVEY, "tile_id": 0}
     params |= {"algorithm": settings.algorithm, "travel_power": settings.travel_power}
     params |= {**centre_params(centre_deg), **minima_params(settings, plate)}
