@@ -38,6 +38,7 @@ def draw(run: RunTables) -> Figure:
     left.set_ylabel(f"Targets {'complete' if run.is_scheduled else 'allocated'} (%)")
     right.set_ylabel("Science targets per degree of latitude")
     right.set_ylim(bottom=0)
+    right.yaxis.set_major_formatter("{x:,.0f}")
     left.set_title("Completeness")
     right.set_title("Targets")
     add_legend(left, loc="best")

@@ -1,9 +1,10 @@
 """Configuration time.
 
 Share of visits whose robots are at rest within so many seconds: all robots (solid), 95 % of those that move (dashed),
-and the slowest robot were it alone (dotted). Left: every visit, from where the last visit of its tile ended. Right: at
-the telescope, for every pointing that was made, from the configuration before, whatever its tile. Vertical: readout of the
-CCD, and the constant 5 minutes that surveys charge for configuration, which is also TAIPAN's requirement.
+and the slowest robot were it alone (dotted; where it is not seen it lies under the solid line). Left: every visit, from
+where the last visit of its tile ended. Right: at the telescope, for every pointing that was made, from the configuration
+before, whatever its tile. Vertical: readout of the CCD, and the constant 5 minutes that surveys charge for configuration,
+which is also TAIPAN's requirement.
 """
 
 from matplotlib.axes import Axes
@@ -55,8 +56,9 @@ def _draw_pointings(axes: Axes, run: RunTables) -> None:
         say_empty(axes, "no exposures: nothing was pointed at")
         return
     for survey in pointings["survey"].unique().sort():
-        values = pointings.filter(survey=survey)["configuration_time_s"].to_numpy()
-        draw_cumulative(axes, values, color=survey_colours(run)[survey], label=survey)
+        for column, linestyle in (("configuration_time_s", "-"), ("configuration_time_p95_s", IDEAL_DASHES)):
+            values = pointings.filter(survey=survey)[column].drop_nulls().to_numpy()
+            draw_cumulative(axes, values, color=survey_colours(run)[survey], linestyle=linestyle, linewidth=1.5)
     _finish(axes, run)
 
 

@@ -15,6 +15,9 @@ from survey_sim.plotting.axes import add_legend, empty_figure
 from survey_sim.plotting.run import evening_dates
 from survey_sim.plotting.style import MUTED, OVERHEAD, survey_colours
 
+# Above each other below the exposures, with their columns.
+PREPARATIONS = {"slew": "slew_s", "configuration": "configuration_time_s", "readout": "readout_s"}
+
 
 def draw(run: RunTables) -> Figure:
     """Timeline of a busy night."""
@@ -62,17 +65,13 @@ def _draw_shutter(axes: Axes, run: RunTables, log: pl.DataFrame) -> None:
         own = log.filter(survey=survey)
         colour = survey_colours(run)[survey]
         axes.broken_barh(list(own.select("start_h", "length_h").iter_rows()), (0.0, 1.0), color=colour, linewidth=0)
-    for number, (name, column) in enumerate(PREPARATIONS.items(), start=1):
+    for number, column in enumerate(PREPARATIONS.values(), start=1):
         hours = log[column] / 3600.0
         axes.broken_barh(
             list(zip(log["start_h"] - hours, hours, strict=True)), (-0.8 * number, 0.6), color=OVERHEAD, linewidth=0
         )
-        del name
     axes.set_yticks([0.5, *(-0.8 * n + 0.3 for n in range(1, len(PREPARATIONS) + 1))], ["exposing", *PREPARATIONS])
     axes.grid(False, axis="y")
-
-
-PREPARATIONS = {"slew": "slew_s", "configuration": "configuration_time_s", "readout": "readout_s"}
 
 
 def _draw_moon(axes: Axes, log: pl.DataFrame) -> None:

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import add_legend, as_percent, say_empty
+from survey_sim.plotting.axes import add_legend, say_empty
 from survey_sim.plotting.plate import draw_plate, read_plate
-from survey_sim.plotting.sky import completeness_words, draw_completeness, tile_frame
+from survey_sim.plotting.sky import completeness_bar, draw_completeness, tile_frame
 from survey_sim.plotting.timeline import draw_timeline
 
 # More maps than this would be too small to read.
@@ -51,8 +51,8 @@ def _draw_maps(figure: Figure, run: RunTables) -> None:
         is_last = axes is drawn[-1][0]
         axes.coords[0].set_axislabel("RA (deg)" if is_last else " ")
         axes.coords[0].set_ticklabel_visible(is_last)
-    bar = figure.colorbar(drawn[0][1], ax=[axes for axes, _ in drawn], shrink=0.8, aspect=25, label=completeness_words(run))
-    as_percent(bar.ax.yaxis)
+    where = {"location": "bottom", "shrink": 0.9, "aspect": 30} if frame.is_whole else {"shrink": 0.8, "aspect": 25}
+    completeness_bar(figure, run, drawn[0][1], [axes for axes, _ in drawn], **where)
 
 
 def _draw_plate(axes: Axes, run: RunTables) -> None:

@@ -1,15 +1,15 @@
 """Completeness on the sky.
 
-Each place has the colour of the tile whose centre is nearest, out to the radius of the field: the share of that tile's
-own targets observed in all the visits they want. Grey lines: the Galactic equator, and the parallels at 10 degrees from
-it (dashed).
+Each place has the colour of the tile whose centre is nearest, out to the radius of the field: the share of the targets there
+that were observed in all the visits they want, by whatever tile. Grey lines: the Galactic equator, and the parallels at 10
+degrees from it (dashed).
 """
 
 from matplotlib.figure import Figure
 
 from survey_sim.plotting import RunTables, main, new_figure
-from survey_sim.plotting.axes import as_percent, empty_figure
-from survey_sim.plotting.sky import completeness_words, draw_completeness, tile_frame
+from survey_sim.plotting.axes import empty_figure
+from survey_sim.plotting.sky import completeness_bar, draw_completeness, tile_frame
 from survey_sim.plotting.style import FULL_WIDTH
 
 
@@ -28,8 +28,7 @@ def draw(run: RunTables) -> Figure:
     for (axes, _), survey in zip(drawn, surveys, strict=True):
         tiles = run.tiles.filter(survey=survey)
         axes.set_title(f"{survey}: {len(tiles):,} tiles, {tiles['n_target'].sum():,} targets")
-    bar = figure.colorbar(drawn[0][1], ax=[axes for axes, _ in drawn], shrink=0.8, aspect=30, label=completeness_words(run))
-    as_percent(bar.ax.yaxis)
+    completeness_bar(figure, run, drawn[0][1], [axes for axes, _ in drawn], shrink=0.8, aspect=30)
     return figure
 
 

@@ -105,7 +105,7 @@ def _draw_pointing(axes: Axes, run: RunTables) -> None:
             axes.errorbar([calibration_s], [place[0] - 1.0], **style)
     axes.set_yticks(np.arange(-1, len(STEPS)), ["calibration", *STEPS.values()])
     axes.set_xlabel("Time (s)")
-    axes.set_xlim(left=0.0)
+    axes.set_xlim(left=-0.02 * axes.get_xlim()[1])
     axes.grid(False, axis="y")
     add_legend(axes, loc="upper left", bbox_to_anchor=(-0.3, -0.16))
 

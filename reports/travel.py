@@ -40,7 +40,7 @@ def _draw_visits(axes: Axes, run: RunTables, survey: str) -> None:
     for (column, label), colour, dashes in zip(measures.items(), colours, DASHES, strict=False):
         draw_band(axes, by_visit(visits, column), colour, label, linestyle=dashes)
     axes.set(title=f"{survey}: by visit", ylabel="Straight travel (mm)")
-    axes.set_ylim(0, 1.25 * max(1.0, visits["travel_max_mm"].to_numpy().max()))
+    axes.set_ylim(0, 1.2 * max(1.0, axes.dataLim.y1))
     add_legend(axes, loc="upper right", ncol=3, columnspacing=1.2)
     whole_numbers(axes.xaxis)
 

@@ -16,6 +16,7 @@ from survey_sim.plotting.comparison import ComparisonTables
 from survey_sim.study_schema import STUDY_TABLES
 from survey_sim.survey.compare import compare_measures, compare_runs, read_runs, write_imprint
 from survey_sim.survey.comparison_page import text_of
+from survey_sim.survey.imprint import imprint_runs
 from survey_sim.survey.measures import measure_run, unit_of
 from tests.report_run import write_run
 
@@ -113,6 +114,26 @@ def test_one_seed_is_said_to_have_no_uncertainty(tmp_path: Path) -> None:
     text = text_of(ComparisonTables(folder))
     assert "one seed: differences have no uncertainty" in text
     assert "±" not in text
+
+
+def test_a_measure_without_value_in_some_seeds_says_so(tmp_path: Path) -> None:
+    folder = compare_runs(_write_runs(tmp_path), tmp_path / "out")
+    rows = pl.read_parquet(folder / "comparison.parquet")
+    assert " in 1 of 2" not in text_of(ComparisonTables(folder))
+    is_row = (pl.col("measure") == "n_visit") & (pl.col("scenario") == "slow-1")
+    rows.with_columns(n_seed=pl.when(is_row).then(1).otherwise("n_seed")).write_parquet(folder / "comparison.parquet")
+    lines = text_of(ComparisonTables(folder)).splitlines()
+    assert [" in 1 of 2" in line for line in lines] == ["visits (configurations)" in line for line in lines]
+
+
+def test_a_sky_that_several_seeds_share_counts_once(tmp_path: Path) -> None:
+    runs = [RunTables(folder) for folder in _write_runs(tmp_path)[:2]]
+    alone, together = imprint_runs([("one", runs[0])]), imprint_runs([("one", run) for run in runs])
+    assert all(together[name].equals(alone[name]) for name in alone)
+    science = runs[1].science.with_columns(pl.col("ra_deg") + 0.5)
+    runs[1].__dict__["science"] = science
+    pairs = imprint_runs([("one", run) for run in runs])["imprint_pairs"]
+    assert pairs["n_pair"].sum() > 1.5 * alone["imprint_pairs"]["n_pair"].sum()
 
 
 def test_other_skies_are_told(tmp_path: Path) -> None:

@@ -1,6 +1,11 @@
 """Sweeps: what scenarios share is computed once, each run is what it would be alone, bad files are refused."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +142,43 @@ def test_processes_side_by_side_make_the_same(sky: Path, finished: Path, tmp_pat
         alone = finished / member.folder.relative_to(sweep.folder)
         files = [path.relative_to(alone) for table in TABLES for path in tables.files(alone, table)]
         assert len(files) > 10
+        assert all((member.folder / name).read_bytes() == (alone / name).read_bytes() for name in files)
+
+
+def _wait_for_the_end_of(group: int) -> None:
+    """Until no process of a group is left; workers that go on for longer are ended, and are a failure."""
+    for _ in range(200):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    os.killpg(group, signal.SIGKILL)
+    pytest.fail("workers go on after the sweep was interrupted")
+
+
+@pytest.mark.parametrize("n_worker", [0, 2])
+def test_an_interrupted_sweep_ends_with_one_line_and_goes_on(
+    n_worker: int, sky: Path, finished: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "question"
+    how = ["--workers", str(n_worker)] if n_worker else ["--serial"]
+    command = [sys.executable, "-m", "survey_sim", "run", str(sky), "--out", str(out), *how, "--quiet"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    while process.poll() is None and not list(out.glob("*/seed-*/.state/parts/*.json")):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGTERM)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert message == "error: interrupted: finished tiles are kept, run the same command again to go on\n"
+    _wait_for_the_end_of(process.pid)
+    sweep = load_sweep(sky, out)
+    kept = {path: path.stat().st_mtime_ns for path in out.glob("*/seed-*/.state/parts/*.json")}
+    run_sweep(sweep, Workers(), QUIET)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    for member in sweep.members:
+        alone = finished / member.folder.relative_to(sweep.folder)
+        files = [path.relative_to(alone) for table in TABLES for path in tables.files(alone, table)]
         assert all((member.folder / name).read_bytes() == (alone / name).read_bytes() for name in files)
 
 

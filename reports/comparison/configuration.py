@@ -1,12 +1,15 @@
 """Configuration time, by scenario.
 
-Share of visits (start to target, all seeds) whose robots are all at rest after a time. Grey: the readout of the CCD, within
-which configuration costs nothing.
+Share of visits (start to target, all seeds) whose robots are all at rest after a time. Grey, or told where it is longer than
+all: the readout of the CCD, within which configuration costs nothing.
 """
 
+from typing import Any
+
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from survey_sim.plotting.axes import as_percent, empty_figure, legend_above
+from survey_sim.plotting.axes import as_percent, empty_figure, legend_above, note
 from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of
 from survey_sim.plotting.style import FAINT, new_figure
 
@@ -21,9 +24,7 @@ def draw(comparison: ComparisonTables) -> Figure:
     for axes, survey in zip(panels, surveys, strict=True):
         own = quantiles.filter(survey=survey)
         longest = own["configuration_time_s"].to_numpy().max()
-        readout = own["readout_s"].drop_nulls()
-        if len(readout):
-            axes.axvspan(0, readout[0], color=FAINT, alpha=0.5, linewidth=0, zorder=0)
+        _draw_readout(axes, own["readout_s"].drop_nulls().max(), longest)
         for scenario in comparison.scenarios:
             rows = own.filter(scenario=scenario).sort("quantile_frac")
             style = {**comparison.style(scenario), "marker": ""}
@@ -33,6 +34,14 @@ def draw(comparison: ComparisonTables) -> Figure:
     panels[0].set_ylabel("Visits at rest (%)")
     legend_above(figure, panels)
     return figure
+
+
+def _draw_readout(axes: Axes, readout_s: Any, longest_s: float) -> None:
+    """The readout, or a remark if all visits are at rest before it ends."""
+    if readout_s is not None and readout_s >= longest_s:
+        note(axes, f"all within the readout of {readout_s:g} s")
+    elif readout_s is not None:
+        axes.axvspan(0, readout_s, color=FAINT, alpha=0.5, linewidth=0, zorder=0)
 
 
 if __name__ == "__main__":

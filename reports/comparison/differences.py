@@ -9,34 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting.axes import empty_figure
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of, words_of
+from survey_sim.plotting.comparison import KEY_MEASURES, ComparisonTables, comparison_main, grid_of, words_of
 from survey_sim.plotting.style import MUTED, new_figure
-
-SHOWN = (
-    "completeness_frac",
-    "wanted_reached_after_d",
-    "n_visit",
-    "science_per_visit",
-    "n_pointing_observed",
-    "configuration_median_s",
-    "configuration_p95_s",
-    "pointing_within_readout_frac",
-    "bound_ratio_mean",
-    "travel_mean_mm",
-    "crossings_mean",
-    "n_unrouted",
-    "configuration_alone_h",
-)
 
 
 def draw(comparison: ComparisonTables) -> Figure:
     """A panel a measure."""
     rows = comparison.table("comparison").filter(
-        pl.col("scenario") != comparison.reference, pl.col("measure").is_in(SHOWN), pl.col("difference").is_not_null()
+        pl.col("scenario") != comparison.reference, pl.col("measure").is_in(KEY_MEASURES), pl.col("difference").is_not_null()
     )
     differs = rows.group_by("of", "measure").agg(pl.col("difference").abs().max()).filter(pl.col("difference") > 0)
-    order = pl.col("measure").replace_strict(list(SHOWN), list(range(len(SHOWN))), return_dtype=pl.Int64)
-    panels_of = differs.sort(order, "of").select("of", "measure").rows()
+    panels_of = sorted(differs.select("of", "measure").rows(), key=lambda panel: (KEY_MEASURES.index(panel[1]), panel[0]))
     if not panels_of:
         return empty_figure(new_figure(), "no scenario differs from the reference")
     others = comparison.scenarios[1:]

@@ -11,7 +11,7 @@ import polars as pl
 from matplotlib import dates
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from survey_sim.plotting.style import MUTED
 
@@ -45,9 +45,23 @@ def panels(figure: Figure, titles: Sequence[str], *, share_y: bool = True) -> li
     return list(axes)
 
 
+class Percents(Formatter):
+    """Shares as percents, with as many decimals as the ticks need."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """One share by itself."""
+        return f"{100.0 * x:.4g}%"
+
+    def format_ticks(self, values: Sequence[float]) -> list[str]:
+        """All ticks of an axis."""
+        percents = 100.0 * np.asarray(values, dtype=np.float64) + 0.0
+        decimals = next((n for n in range(4) if np.allclose(percents, percents.round(n), rtol=0.0, atol=1e-6)), 4)
+        return [f"{percent:.{decimals}f}%" for percent in percents]
+
+
 def as_percent(axis: Any) -> None:
-    """Show shares as percents on an axis, with as many decimals as its ticks need."""
-    axis.set_major_formatter(PercentFormatter(1.0, None))
+    """Show shares as percents on an axis."""
+    axis.set_major_formatter(Percents())
 
 
 def whole_numbers(axis: Any, n_max: int = 9) -> None:

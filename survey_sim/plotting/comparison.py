@@ -37,11 +37,15 @@ WORDS = {
     "configuration_median_s": "configuration time, median",
     "configuration_p95_s": "configuration time, 95 % of visits",
     "configuration_max_s": "configuration time, slowest",
-    "configuration_95_filter_median_s": "the same, 95 % of robots at rest, median",
+    "configuration_95_filter_median_s": "configuration time, median, 95 % of robots at rest",
     "within_readout_frac": "visits within the readout",
-    "within_readout_95_filter_frac": "the same with the 95 % filter",
+    "within_readout_95_filter_frac": "visits within the readout, 95 % filter",
     "pointing_configuration_median_s": "configuration at the telescope, median",
+    "pointing_configuration_p95_s": "configuration at the telescope, 95 % of pointings",
+    "pointing_configuration_max_s": "configuration at the telescope, slowest",
+    "pointing_configuration_95_filter_median_s": "configuration at the telescope, median, 95 % of robots at rest",
     "pointing_within_readout_frac": "pointings within the readout",
+    "pointing_within_readout_95_filter_frac": "pointings within the readout, 95 % filter",
     "bound_ratio_mean": "configuration time / lower bound",
     "at_bound_frac": "visits at the lower bound",
     "travel_mean_mm": "mean straight travel",
@@ -55,6 +59,25 @@ WORDS = {
     "overhead_h": "overheads",
     "unused_h": "not used",
 }
+
+# Measures that are shown first, in this order; all others stand in the tables.
+KEY_MEASURES = (
+    "completeness_frac",
+    "wanted_reached_after_d",
+    "n_visit",
+    "science_per_visit",
+    "n_pointing_observed",
+    "configuration_median_s",
+    "configuration_p95_s",
+    "configuration_max_s",
+    "pointing_within_readout_frac",
+    "bound_ratio_mean",
+    "travel_mean_mm",
+    "crossings_mean",
+    "n_unrouted",
+    "configuration_alone_h",
+    "weather_lost_h",
+)
 
 
 class ComparisonTables:

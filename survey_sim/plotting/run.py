@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import polars as pl
+from scipy.spatial import cKDTree
 
 from survey_sim import tables
 from survey_sim.errors import InputError
+from survey_sim.geometry import unit_vectors
 
 VISIT_KEY = ("survey", "tile_id", "visit_id")
 _MJD_EPOCH = np.datetime64("1858-11-17T00:00:00", "us")
@@ -135,14 +137,32 @@ class RunTables:
         return joined.with_columns(pl.col("n_allocated", "n_observed").fill_null(0))
 
     @cached_property
+    def nearest_complete(self) -> pl.DataFrame:
+        """By tile, as `tiles` lists them: `n_target` targets to which its centre is the nearest, `n_done` of them complete.
+
+        A target's home may be another tile that reaches it too (pooled visits): maps of the sky are of where targets are.
+        """
+        parts = [pl.DataFrame(schema={"survey": pl.String, "n_target": pl.Int64, "n_done": pl.Int64})]
+        for (survey,), tiles in self.tiles.partition_by("survey", as_dict=True, maintain_order=True).items():
+            targets = self.science.filter(survey=survey)
+            sky = (unit_vectors(rows["ra_deg"].to_numpy(), rows["dec_deg"].to_numpy()) for rows in (tiles, targets))
+            nearest = np.asarray(cKDTree(next(sky)).query(next(sky))[1])
+            is_done = targets["is_observed" if self.is_scheduled else "is_allocated"].to_numpy()
+            counts = {"n_target": nearest, "n_done": nearest[is_done]}
+            counted = {name: np.bincount(rows, minlength=len(tiles)) for name, rows in counts.items()}
+            parts.append(pl.DataFrame({"survey": [survey] * len(tiles), **counted}))
+        return pl.concat(parts)
+
+    @cached_property
     def robots(self) -> pl.DataFrame:
         """Table `robots`."""
         return self.scan("robots").collect()
 
     @cached_property
     def exposures(self) -> pl.DataFrame:
-        """Table `exposures`."""
-        return self.scan("exposures").collect()
+        """Table `exposures`, with `configuration_time_p95_s`; null where a constant stands for the robots' path."""
+        filtered = self.scan("exposure_paths").select("exposure_id", "configuration_time_p95_s")
+        return self.scan("exposures").join(filtered, on="exposure_id", how="left", maintain_order="left").collect()
 
     @cached_property
     def nights(self) -> pl.DataFrame:

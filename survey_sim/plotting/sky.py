@@ -5,6 +5,7 @@ Tiles overlap, so each place on the sky takes the colour of the tile whose centr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from survey_sim.geometry import chord, unit_vectors
+from survey_sim.plotting.axes import as_percent
 from survey_sim.plotting.run import RunTables
 from survey_sim.plotting.style import COMPLETENESS_MAP, INK, MUTED
 from survey_sim.region import GALACTIC_POLE_DEG
@@ -28,6 +30,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # A map that reaches further than this from its centre shows the whole sky, deg.
 _REACH_MAX_DEG = 60.0
+# Share of the targets that may lie in cells less complete than the colours go.
+_BELOW_FRAC = 0.02
 # Pixels across a map: of a region, of the whole sky.
 _N_PIXEL = {"ZEA": 480, "MOL": 900}
 
@@ -178,10 +182,8 @@ def draw_completeness(
     tiles = run.tiles.filter(survey=survey)
     frame = frame or tile_frame(run)
     axes = add_sky(figure, place, frame)
-    done = tiles["n_observed" if run.is_scheduled else "n_allocated"].to_numpy()
-    n_target = tiles["n_target"].to_numpy()
-    share = np.divide(done, n_target, out=np.full(len(tiles), np.nan), where=n_target > 0)
-    low = lowest_completeness(run)
+    near = run.nearest_complete.filter(survey=survey)
+    share, low = (near["n_done"] / near["n_target"]).to_numpy(), lowest_completeness(run)
     image = paint_tiles(axes, frame, tiles, share, run.field_radius_deg, cmap=COMPLETENESS_MAP, vmin=low, vmax=1.0)
     draw_galactic(axes, frame)
     return axes, image
@@ -193,14 +195,17 @@ def tile_frame(run: RunTables) -> SkyFrame:
 
 
 def lowest_completeness(run: RunTables) -> float:
-    """Where the colours of a run's completeness maps start: the least of any tile, down to a whole 10 %, at most 50 %."""
-    done = run.tiles.filter(pl.col("n_target") > 0).select(
-        share=pl.col("n_observed" if run.is_scheduled else "n_allocated") / pl.col("n_target")
-    )
-    least = 0.0 if done.is_empty() else float(done["share"].to_numpy().min())
-    return float(np.floor(10 * min(least, 0.5)) / 10)
+    """Where the colours of a run's completeness maps start: a whole 10 %, at most 50 %; one target in 50 may lie below."""
+    known = run.nearest_complete.filter(pl.col("n_target") > 0)
+    cells = known.with_columns(share=pl.col("n_done") / pl.col("n_target")).sort("share")
+    above = cells.filter(pl.col("n_target").cum_sum() > _BELOW_FRAC * pl.col("n_target").sum())
+    least = 0.0 if above.is_empty() else float(above["share"][0])
+    return float(np.floor(10 * min(least, 0.5) + 1e-9) / 10)
 
 
-def completeness_words(run: RunTables) -> str:
-    """What the colour of a completeness map means."""
-    return "Targets complete (%)" if run.is_scheduled else "Targets allocated (%)"
+def completeness_bar(figure: Figure, run: RunTables, image: Any, axes: Sequence[WCSAxes], **options: Any) -> None:
+    """The colour bar of completeness maps, pointed where cells may be less complete than its colours go."""
+    label = "Targets complete (%)" if run.is_scheduled else "Targets allocated (%)"
+    extend = "min" if lowest_completeness(run) > 0.0 else "neither"
+    bar = figure.colorbar(image, ax=list(axes), label=label, extend=extend, **options)
+    as_percent(bar.ax.xaxis if options.get("location") == "bottom" else bar.ax.yaxis)

@@ -77,7 +77,11 @@ class SurveyNumbers:
     bound_frac: float | None
     within_readout_frac: float | None
     pointing_median_s: float | None
+    pointing_p95_s: float | None
+    pointing_max_s: float | None
     pointing_within_readout_frac: float | None
+    pointing_filtered_median_s: float | None
+    pointing_filtered_within_readout_frac: float | None
     waited_h: float | None
     constant_waited_h: float | None
     n_collision: int
@@ -163,6 +167,7 @@ def _survey(run: RunTables, survey: str) -> SurveyNumbers:
     paths, tiles = run.paths.filter(survey=survey), run.tiles.filter(survey=survey)
     moving = visits.filter(pl.col("configuration_time_s") > 0)
     time, pointing = moving["configuration_time_s"], exposures["configuration_time_s"]
+    pointing_filtered = exposures["configuration_time_p95_s"].drop_nulls()
     travel = run.travel.filter(survey=survey)
     return SurveyNumbers(
         name=survey,
@@ -181,7 +186,11 @@ def _survey(run: RunTables, survey: str) -> SurveyNumbers:
         bound_frac=_number((time <= moving["lower_bound_s"] * (1.0 + 1e-6)).mean()),
         within_readout_frac=_share_within(time, run.readout_s),
         pointing_median_s=_number(pointing.median()),
+        pointing_p95_s=_number(pointing.quantile(0.95, "linear")),
+        pointing_max_s=_number(pointing.max()),
         pointing_within_readout_frac=_share_within(pointing, run.readout_s),
+        pointing_filtered_median_s=_number(pointing_filtered.median()),
+        pointing_filtered_within_readout_frac=_share_within(pointing_filtered, run.readout_s),
         waited_h=_waited_h(exposures, pl.col("configuration_time_s")),
         constant_waited_h=_waited_h(exposures, pl.lit(CONSTANT_S)),
         n_collision=int(paths["collisions"].sum()),

@@ -70,8 +70,8 @@ def compare_runs(run_dirs: Sequence[Path], out: Path | None = None, reference: s
     }
     for name, frame in made.items():
         tables.write(frame, name, folder / f"{name}.parquet")
-    sweeps = {run.tables.record.get("scenario", {}).get("sweep") for run in runs}
-    title = sweeps.pop() if len(sweeps) == 1 and None not in sweeps else ", ".join(scenarios)
+    titles = {given.get("title") or given.get("sweep") for run in runs for given in [run.tables.record.get("scenario", {})]}
+    title = titles.pop() if len(titles) == 1 and None not in titles else ", ".join(scenarios)
     shared = {name: _shared(runs, name, scenarios[0]) for name in scenarios[1:]}
     _write_about(folder, title, scenarios, runs, shared)
     return folder

@@ -11,27 +11,8 @@ from markupsafe import Markup
 
 from survey_sim import __version__, tables
 from survey_sim.folders import data_folder
-from survey_sim.plotting.comparison import ComparisonTables, draw_comparison, words_of
+from survey_sim.plotting.comparison import KEY_MEASURES, ComparisonTables, draw_comparison, words_of
 from survey_sim.survey.report import NOTHING, environment, html_figure
-
-# What the first table of the page and the text show.
-KEY = (
-    "completeness_frac",
-    "wanted_reached_after_d",
-    "n_visit",
-    "science_per_visit",
-    "n_pointing_observed",
-    "configuration_median_s",
-    "configuration_p95_s",
-    "configuration_max_s",
-    "pointing_within_readout_frac",
-    "bound_ratio_mean",
-    "travel_mean_mm",
-    "crossings_mean",
-    "n_unrouted",
-    "configuration_alone_h",
-    "weather_lost_h",
-)
 
 
 @dataclass(frozen=True)
@@ -54,15 +35,15 @@ class Row:
 
 def rows_of(comparison: ComparisonTables) -> Iterator[Row]:
     """The measures, key ones first, each with a cell a scenario."""
-    table = comparison.table("comparison")
+    table, n_seed = comparison.table("comparison"), int(comparison.about["n_seed"])
     known = table["measure"].unique(maintain_order=True).to_list()
-    order = [*(name for name in KEY if name in known), *sorted(name for name in known if name not in KEY)]
+    order = [*(name for name in KEY_MEASURES if name in known), *sorted(name for name in known if name not in KEY_MEASURES)]
     for measure in order:
         for of in table.filter(measure=measure)["of"].unique().sort().to_list():
             own = {row["scenario"]: row for row in table.filter(measure=measure, of=of).iter_rows(named=True)}
             unit = next(iter(own.values()))["unit"]
             words = words_of(measure) + (" (%)" if measure.endswith("_frac") else f" ({unit})" if unit else "")
-            yield Row(of, measure, words, [_cell(own.get(name), measure) for name in comparison.scenarios])
+            yield Row(of, measure, words, [_cell(own.get(name), n_seed) for name in comparison.scenarios])
 
 
 def text_of(comparison: ComparisonTables, *, is_all: bool = False) -> str:
@@ -76,7 +57,7 @@ def text_of(comparison: ComparisonTables, *, is_all: bool = False) -> str:
         lines.append("  one seed: differences have no uncertainty, none is shown")
     else:
         lines.append("  differences: mean over seeds of paired differences +- half width of the 95 % t interval")
-    rows = [row for row in rows_of(comparison) if is_all or row.measure in KEY]
+    rows = [row for row in rows_of(comparison) if is_all or row.measure in KEY_MEASURES]
     cells = [["of", "measure", *comparison.scenarios]]
     for row in rows:
         cells.append(
@@ -101,7 +82,7 @@ def write_comparison(folder: Path) -> Path:
         n_seed=comparison.about["n_seed"],
         shared=comparison.about["shared"],
         changes=comparison.about["changes"],
-        key_rows=[row for row in rows if row.measure in KEY],
+        key_rows=[row for row in rows if row.measure in KEY_MEASURES],
         all_rows=rows,
         figures=[html_figure(*drawn) for drawn in draw_comparison(folder)],
         style=Markup((reports / "page.css").read_text(encoding="utf-8")),
@@ -111,11 +92,12 @@ def write_comparison(folder: Path) -> Path:
     return folder / "index.html"
 
 
-def _cell(row: dict[str, Any] | None, measure: str) -> Cell:
+def _cell(row: dict[str, Any] | None, n_seed: int) -> Cell:
+    """A measure of a scenario; of how many seeds is said where some have no value."""
     if row is None or row["mean"] is None:
         return Cell(NOTHING, "")
-    scale = 100.0 if measure.endswith("_frac") else 1.0
-    mean = _number(scale * row["mean"])
+    scale = 100.0 if row["measure"].endswith("_frac") else 1.0
+    mean = _number(scale * row["mean"]) + (f" in {row['n_seed']} of {n_seed}" if row["n_seed"] < n_seed else "")
     if row["scenario"] == row["reference"] or row["difference"] is None:
         return Cell(mean, "")
     difference = _number(scale * row["difference"], sign="+")

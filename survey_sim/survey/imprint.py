@@ -48,14 +48,25 @@ def imprint_runs(runs: Sequence[tuple[str, RunTables]]) -> dict[str, pl.DataFram
         own = [run for name, run in runs if name == scenario]
         samples = [_prepared(run) for run in own]
         for programme in dict.fromkeys(row.name for run in own for row in run.programmes):
-            rows = [(run, sample.filter(programme=programme)) for run, sample in zip(own, samples, strict=True)]
-            rows = [(run, sample) for run, sample in rows if len(sample) > 1]
+            rows = _skies(own, samples, programme)
             for outcome in _outcomes(run for run, _ in rows):
                 keys = {"scenario": scenario, "programme": programme, "outcome": outcome}
                 for name, made in _imprint(rows, f"is_{outcome}").items():
                     tagged = made.with_columns(**{key: pl.lit(value) for key, value in keys.items()})
                     frames[name].append(tagged.select(frames[name][0].columns).cast(frames[name][0].schema))
     return {name: pl.concat(parts) for name, parts in frames.items()}
+
+
+def _skies(
+    runs: Sequence[RunTables], samples: Sequence[pl.DataFrame], programme: str
+) -> list[tuple[RunTables, pl.DataFrame]]:
+    """Runs and their targets of a programme, the first of each sky: the same sky again would only make errors too small."""
+    skies: dict[bytes, tuple[RunTables, pl.DataFrame]] = {}
+    for run, sample in zip(runs, samples, strict=True):
+        targets = sample.filter(programme=programme)
+        if len(targets) > 1:
+            skies.setdefault(targets.select("ra_deg", "dec_deg").to_numpy().tobytes(), (run, targets))
+    return list(skies.values())
 
 
 def _outcomes(runs: Iterable[RunTables]) -> list[str]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +24,7 @@ from survey_sim.settings import Settings, read_toml
 from survey_sim.survey.engine import load_stages, plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.store import Store
-from survey_sim.survey.workers import Workers
+from survey_sim.survey.workers import Workers, deaf_to_interrupt
 
 # Stages that the runs of a sweep leave out: the sweep has a page of its own, `survey-sim report` draws that of one run.
 SKIPPED = ("report",)
@@ -78,6 +78,7 @@ class Member:
     """One run of a sweep: all that another process needs to do it."""
 
     sweep: str
+    title: str
     scenario: str
     seed: int
     reference: str
@@ -97,6 +98,7 @@ class Member:
         """The run; its settings are checked."""
         scenario = {
             "sweep": self.sweep,
+            "title": self.title,
             "scenario": self.scenario,
             "reference": self.reference,
             "order": list(self.order),
@@ -159,6 +161,7 @@ def load_sweep(path: Path, out: Path | None = None, changes: Sequence[str] = ())
     members = tuple(
         Member(
             sweep=settings.name,
+            title=settings.title,
             scenario=scenario.name,
             seed=seed,
             reference=settings.reference_name,
@@ -223,10 +226,11 @@ def _in_turn(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, InputErro
 
 
 def _side_by_side(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, InputError | None]]:
-    """A run that needs what another is making waits for it (`Store.alone`). When interrupted, no further run begins."""
+    """A run that needs what another is making waits for it (`Store.alone`). When interrupted, all end at once."""
     pool = ProcessPoolExecutor(min(workers.n, len(sweep.members)), mp_context=get_context("spawn"))
     try:
-        futures: dict[Future[None], Member] = {pool.submit(run_member, m, Workers()): m for m in sweep.members}
+        with deaf_to_interrupt():
+            futures: dict[Future[None], Member] = {pool.submit(run_member, m, Workers()): m for m in sweep.members}
         for future in as_completed(futures):
             member = futures[future]
             try:
@@ -238,5 +242,9 @@ def _side_by_side(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, Inpu
                 raise InputError(rule, remedy="run again: what is done is kept") from None
             else:
                 yield member, None
+    except KeyboardInterrupt:
+        for process in active_children():
+            process.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)

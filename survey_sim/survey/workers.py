@@ -123,7 +123,7 @@ class Workers:
     def _start(self) -> Client:
         from distributed import Client, LocalCluster  # noqa: PLC0415
 
-        with _deaf_to_interrupt():
+        with deaf_to_interrupt():
             self._cluster = LocalCluster(
                 n_workers=self.n,
                 threads_per_worker=1,
@@ -147,7 +147,7 @@ def _measured(function: Callable[[Task], Result], task: Task) -> tuple[Result, S
 
 
 @contextmanager
-def _deaf_to_interrupt() -> Iterator[None]:
+def deaf_to_interrupt() -> Iterator[None]:
     """Processes begun in the block do not hear Ctrl-C, which a terminal sends to all: this process ends them."""
     if threading.current_thread() is not threading.main_thread():  # only that one may say who hears
         yield
