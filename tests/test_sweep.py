@@ -169,8 +169,8 @@ def test_an_interrupted_sweep_ends_with_one_line_and_goes_on(
         time.sleep(0.01)
     process.send_signal(signal.SIGTERM)
     _, message = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert message == "error: interrupted: finished tiles are kept, run the same command again to go on\n"
+    line = "error: interrupted: finished tiles are kept, run the same command again to go on\n"
+    assert (process.returncode, message) == (130, line)
     _wait_for_the_end_of(process.pid)
     sweep = load_sweep(sky, out)
     kept = {path: path.stat().st_mtime_ns for path in out.glob("*/seed-*/.state/parts/*.json")}

@@ -16,8 +16,8 @@ def draw_timeline(axes: Axes, run: RunTables) -> None:
     axes.set_ylim(0, 1.02)
     as_percent(axes.yaxis)
     nights = run.nights
-    if not len(nights):
-        say_empty(axes, "no nights were scheduled")
+    if not len(nights) or run.science.is_empty():
+        say_empty(axes, "no science targets" if len(nights) else "no nights were scheduled")
         return
     evenings = evening_dates(nights["evening_mjd"].to_numpy())
     days = np.append(evenings, evenings[-1:] + np.timedelta64(1, "D"))
