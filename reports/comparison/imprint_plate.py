@@ -41,7 +41,7 @@ def draw(comparison: ComparisonTables) -> Figure:
         axes.set_xlabel("Plate x, east (mm)")
     for axes in grid[:, 0]:
         axes.set_ylabel("Plate y, north (mm)")
-    bar = figure.colorbar(mesh, ax=grid, shrink=0.8, aspect=30, label="Targets complete (%)")
+    bar = figure.colorbar(mesh, ax=grid, shrink=0.8, aspect=30, label="Targets complete (%)", extend="min")
     as_percent(bar.ax.yaxis)
     return figure
 
