@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray
-from survey_sim.allocation.kernels import place_idle
+from survey_sim.allocation.kernels import place_idle, way_costs
 from survey_sim.allocation.targets import FloatArray, IntArray
 from survey_sim.instrument import Plate
+
+# A robot's reach is widened by so much, relatively, where its own target lies beyond it by rounding.
+ROUNDING = 1e-12
 
 
 def match_again(
@@ -36,13 +39,14 @@ def match_again(
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - 0.2 s that the command line's help need not pay
 
     taker, holder = np.flatnonzero(plate.is_live), np.flatnonzero(has_target)
-    target_mm = end_mm[holder]
-    park_distance = np.hypot(*(target_mm[None] - plate.park_mm[taker, None]).transpose(2, 0, 1))
-    travel = np.hypot(*(target_mm[None] - start_mm[taker, None]).transpose(2, 0, 1))
     # The holder itself reaches its target, whatever the rounding.
-    is_open = (park_distance <= plate.patrol_radius_mm[taker, None]) | (taker[:, None] == holder[None])
-    is_open &= plate.is_guide[taker, None] == plate.is_guide[holder][None]
-    rows, columns = linear_sum_assignment(np.where(is_open, travel**travel_power, np.inf))
+    farthest = np.hypot(*(end_mm - plate.park_mm).T)[taker]
+    patrol = np.maximum(plate.patrol_radius_mm[taker], np.where(has_target[taker], farthest * (1.0 + ROUNDING), 0.0))
+    cost = way_costs(
+        start_mm[taker], plate.park_mm[taker], patrol, plate.is_guide[taker],
+        end_mm[holder], plate.is_guide[holder], travel_power / 2.0,
+    )  # fmt: skip
+    rows, columns = linear_sum_assignment(cost)
     giver = np.full(plate.n_robot, -1)
     giver[taker[rows]] = holder[columns]
     goal_mm = np.where((giver >= 0)[:, None], end_mm[giver], start_mm)

@@ -17,10 +17,8 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 
-def make_fields(
-    problem: Problem, ephemeris: Ephemeris, night: Night, rules: Sequence[SurveyRule], pressure: FloatArray
-) -> Fields:
-    """All tiles for one night; see `kernels.Fields`."""
+def make_fields(problem: Problem, ephemeris: Ephemeris, night: Night, rules: Sequence[SurveyRule]) -> Fields:
+    """All tiles for one night, under no pressure; see `kernels.Fields`."""
     direction = ephemeris.directions(problem.tile_icrs, night.evening_mjd + 0.5)
     dec_rad = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0))
     latitude_rad = np.radians(ephemeris.site.latitude_deg)
@@ -34,7 +32,7 @@ def make_fields(
         dec_rad=dec_rad,
         window_rad=observing_window(dec_rad, problem, latitude_rad, rules),
         min_airmass=min_airmass,
-        pressure=pressure,
+        pressure=np.ones(len(dec_rad)),
     )
 
 

@@ -140,12 +140,13 @@ class _Survey:
         complete = np.zeros((len(self.nights), len(self.problem.programmes)), dtype=np.int64)
         while len(logs) < len(self.nights):
             ahead = range(len(logs), min(len(logs) + robots.n_ahead, len(self.nights)))
+            skies = [self._sky(number) for number in ahead]
             for is_exact in (*(False,) * N_GUESS, True):
                 trial = State(*(array.copy() for array in state))
                 chains = [robots.begin_night(is_exact=is_exact) for _ in ahead]
                 found = []
-                for number, chain in zip(ahead, chains, strict=True):
-                    found.append(self._observe_night(number, trial, chain))
+                for number, sky, chain in zip(ahead, skies, chains, strict=True):
+                    found.append(self._observe_night(number, sky, trial, chain))
                     complete[number] = trial.n_complete
                 if all(chain.is_exact for chain in chains):
                     break
@@ -155,14 +156,22 @@ class _Survey:
             logs += found
         return logs, complete, state
 
-    def _observe_night(self, number: int, state: State, chain: Chain) -> FloatArray:
+    def _sky(self, number: int) -> tuple[kernels.Night, kernels.Fields] | None:
+        """A night and its fields, whatever was observed before; None if nothing is."""
         night = self.nights[number]
         if night.is_engineering:
-            return np.empty((0, kernels.N_LOG))
-        pressure = self.look_ahead.pressure(number, state, self.numbers)
-        fields = make_fields(self.problem, self.ephemeris, night, self.rules, pressure)
+            return None
         sky = kernels.Night(number, night.sidereal_rad, night.level, night.moon, night.is_cloudy)
-        return observe_night(sky, fields, self.problem.visits, self.problem.targets, self.numbers, state, chain)
+        return sky, make_fields(self.problem, self.ephemeris, night, self.rules)
+
+    def _observe_night(
+        self, number: int, sky: tuple[kernels.Night, kernels.Fields] | None, state: State, chain: Chain
+    ) -> FloatArray:
+        if sky is None:
+            return np.empty((0, kernels.N_LOG))
+        night, fields = sky
+        fields = fields._replace(pressure=self.look_ahead.pressure(number, state, self.numbers))
+        return observe_night(night, fields, self.problem.visits, self.problem.targets, self.numbers, state, chain)
 
 
 def observe_night(

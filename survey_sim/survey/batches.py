@@ -6,8 +6,9 @@ The result does not depend on who did it, nor in which order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 import polars as pl
 
@@ -45,11 +46,13 @@ def run_batch(batch: Batch) -> BatchResult:
     return BatchResult(batch.name, batch.signature, parts, len(batch.jobs), len(frames["visits"]))
 
 
-def run_batches(batches: Sequence[Batch], workers: Workers) -> Iterator[BatchResult]:
+def run_batches(batches: Iterable[Batch], workers: Workers) -> Iterator[BatchResult]:
     """Results of batches as they come."""
-    if workers.are_elsewhere and batches:
-        _compile_kernels(batches[0].jobs[0])
-    yield from workers.stream(run_batch, batches)
+    batches = iter(batches)
+    first = list(islice(batches, 1))
+    if workers.are_elsewhere and first:
+        _compile_kernels(first[0].jobs[0])
+    yield from workers.stream(run_batch, chain(first, batches))
 
 
 def _compile_kernels(job: TileJob) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from hashlib import sha256
 from io import BytesIO
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 
 from survey_sim import tables
@@ -25,7 +28,7 @@ from survey_sim.survey.progress import tile_progress
 from survey_sim.survey.rows import TILE_TABLES
 from survey_sim.survey.run import Run, code_digest
 from survey_sim.survey.tile import TileJob
-from survey_sim.tiling import Planned, make_tiles, members
+from survey_sim.tiling import Members, Planned, make_tiles, members
 
 # Rooms whose code each stage runs: a change there makes the stage run again.
 STAGE_ROOMS = {
@@ -43,6 +46,8 @@ _OF_POOLING = (
     *("wanted_standard", "wanted_sky", "wanted_guide", "min_standard", "min_sky", "min_guide", "min_sky_region"),
     *("sky_regions", "priority_gain", "effort", "min_gain", "mag_ranges"),
 )
+# Columns of `targets` that a tile needs.
+_OF_JOB = ("target_id", "kind", "programme", "ra_deg", "dec_deg", "mag", "priority", "wanted_visits")
 # Tables of the schedule that every run has.
 NIGHT_TABLES = ("exposures", "nights", "target_status", "completeness", "time_budget")
 # Tables of the tile stage that are one row a visit or path, or few: gathered into one file each.
@@ -106,12 +111,12 @@ def simulate_visits(run: Run) -> None:
     tables.write(robots, "robots", run.table("robots"))
     for table in set(TILE_TABLES).difference(GATHERED):
         run.table(table).mkdir(exist_ok=True)  # a survey without tiles has tables too, without rows
-    batches = make_batches(run)
-    names = {batch.name for batch in batches}
+    names = {name: rows.height for _, name, rows in _chunks(run)}
     _drop_stale_parts(run, names)
-    wanted = [batch for batch in batches if not is_whole(run, batch)]
-    n_tile, n_wanted = (sum(len(batch.jobs) for batch in some) for some in (batches, wanted))
-    with tile_progress(run.console, n_tile, n_tile - n_wanted) as advance:
+    is_begun = any(_manifest(run, name).exists() for name in names)
+    kept = {batch.name for batch in make_batches(run) if is_whole(run, batch)} if is_begun else set()
+    wanted = (batch for batch in make_batches(run) if batch.name not in kept)
+    with tile_progress(run.console, sum(names.values()), sum(names[name] for name in kept)) as advance:
         for result in run_batches(wanted, run.workers):
             _keep(run, result)
             advance(result.n_tile, result.n_visit)
@@ -120,23 +125,26 @@ def simulate_visits(run: Run) -> None:
         tables.write(pl.concat([tables.empty(table), *parts]), table, run.table(table))
 
 
-def make_batches(run: Run) -> list[Batch]:
-    """All tiles in batches, with a digest of all that each batch depends on."""
-    targets, tiles = tables.read(run.folder, "targets"), tables.read(run.folder, "tiles")
-    shared = members(tiles, targets, run.instrument.field_radius_deg)
+def make_batches(run: Run) -> Iterator[Batch]:
+    """All tiles in batches, with a digest of all that each batch depends on; one is made when it is asked for."""
     fixed = _digest(parameters(run, "visits"), code_digest(*STAGE_ROOMS["visits"]))
-    plans = pl.read_parquet(plans_path(run)).partition_by("survey", "tile_id", as_dict=True)
-    batches = []
-    own = targets.filter(kind="science").partition_by("survey", "tile_id", as_dict=True)
-    for survey in run.settings.surveys:
-        of_survey = tiles.with_row_index("place").filter(survey=survey)
-        for chunk in of_survey.iter_slices(run.settings.output.tiles_per_part):
-            jobs = tuple(_job(run, row, own, targets[shared.of(row["place"])], plans) for row in chunk.iter_rows(named=True))
+    for survey, chunks in groupby(_chunks(run), key=lambda chunk: chunk[0]):
+        sky = _SurveySky.read(run, survey)
+        for _, name, rows in chunks:
+            jobs = tuple(sky.job(run, tile) for tile in rows.iter_rows(named=True))
             content = [part for job in jobs for part in _content(job)]
             centres = json.dumps([(job.tile_id, job.centre_deg) for job in jobs])
-            name = f"{survey}-{jobs[0].tile_id:05d}"
-            batches.append(Batch(name, _digest(fixed, centres, *content), jobs))
-    return batches
+            yield Batch(name, _digest(fixed, centres, *content), jobs)
+
+
+def _chunks(run: Run) -> Iterator[tuple[str, str, pl.DataFrame]]:
+    """Survey, name and tiles of each batch; `place` is a tile's among those of its survey."""
+    tiles = tables.read(run.folder, "tiles")
+    for survey in run.settings.surveys:
+        of_survey = tiles.filter(survey=survey).with_row_index("place")
+        for rows in of_survey.iter_slices(run.settings.output.tiles_per_part):
+            if rows.height:
+                yield survey, f"{survey}-{rows['tile_id'][0]:05d}", rows
 
 
 def parameters(run: Run, stage: str) -> dict[str, Any]:
@@ -257,38 +265,76 @@ def _warn(run: Run, stage: str, warnings: Sequence[str]) -> None:
 def _content(job: TileJob) -> list[bytes]:
     """What a tile depends on besides its place and the run's settings."""
     plan = [] if job.plan is None else [job.plan.row, job.plan.group, job.plan.visit]
-    return [job.targets.write_ipc(None).getvalue(), *(np.ascontiguousarray(column).tobytes() for column in plan)]
+    # Texts in the layout that is the same however the frame was made.
+    targets = job.targets.write_ipc(None, compat_level=pl.CompatLevel.oldest()).getvalue()
+    return [targets, *(np.ascontiguousarray(column).tobytes() for column in plan)]
 
 
-def _job(
-    run: Run,
-    tile: dict[str, Any],
-    own: dict[Any, pl.DataFrame],
-    shared: pl.DataFrame,
-    plans: dict[Any, pl.DataFrame],
-) -> TileJob:
-    key = (tile["survey"], tile["tile_id"])
-    science = own.get(key, shared.clear())
-    rows = pl.concat([science, shared]).sort("target_id")
-    settings = run.settings
-    return TileJob(
-        survey=tile["survey"],
-        tile_id=tile["tile_id"],
-        centre_deg=(tile["ra_deg"], tile["dec_deg"]),
-        targets=rows.select("target_id", "kind", "programme", "ra_deg", "dec_deg", "mag", "priority", "wanted_visits"),
-        wanted_frac={p.name: p.completeness_frac for p in settings.science if p.survey == tile["survey"]},
-        plate=run.plate,
-        allocation=settings.allocation.of(tile["survey"]),
-        routing=settings.routing,
-        simulation=settings.simulation,
-        seed=settings.run.seed,
-        plan=_plan(plans.get(key)) if _is_planned(run, tile["survey"]) else None,
-    )
+@dataclass(frozen=True)
+class _SurveySky:
+    """Targets of one survey by tiles, as little of them as tiles need.
+
+    Attributes
+    ----------
+    science, plans
+        Science targets, and what is planned of them, by home tile; `first_science`, `first_plan` where each tile's begin.
+    supply
+        Targets of the other kinds; `shared` has their rows by tiles.
+    """
+
+    science: pl.DataFrame
+    first_science: npt.NDArray[np.int64]
+    plans: pl.DataFrame
+    first_plan: npt.NDArray[np.int64]
+    supply: pl.DataFrame
+    shared: Members
+
+    @classmethod
+    def read(cls, run: Run, survey: str) -> Self:
+        """Those of a run."""
+        tiles = tables.read(run.folder, "tiles").filter(survey=survey)
+        known = tables.scan(run.folder, "targets").filter(pl.col("survey") == survey).select("survey", "tile_id", *_OF_JOB)
+        is_science = pl.col("kind") == "science"
+        science = known.filter(is_science).sort("tile_id", "target_id").collect()
+        supply = known.filter(~is_science).collect()
+        plans = (
+            pl.scan_parquet(plans_path(run))
+            .filter(pl.col("survey") == survey)
+            .collect()
+            .sort("tile_id", maintain_order=True)
+        )
+        tile_id = tiles["tile_id"].to_numpy()
+        ends = np.append(tile_id, tile_id[-1] + 1)
+        return cls(
+            science.select(_OF_JOB),
+            np.searchsorted(science["tile_id"].to_numpy(), ends),
+            plans,
+            np.searchsorted(plans["tile_id"].to_numpy(), ends),
+            supply.select(_OF_JOB),
+            members(tiles, supply, run.instrument.field_radius_deg),
+        )
+
+    def job(self, run: Run, tile: dict[str, Any]) -> TileJob:
+        """All that one tile needs."""
+        settings, survey, place = run.settings, tile["survey"], tile["place"]
+        science = self.science[self.first_science[place] : self.first_science[place + 1]]
+        planned = self.plans[self.first_plan[place] : self.first_plan[place + 1]]
+        return TileJob(
+            survey=survey,
+            tile_id=tile["tile_id"],
+            centre_deg=(tile["ra_deg"], tile["dec_deg"]),
+            targets=pl.concat([science, self.supply[self.shared.of(place)]]).sort("target_id"),
+            wanted_frac={p.name: p.completeness_frac for p in settings.science if p.survey == survey},
+            plate=run.plate,
+            allocation=settings.allocation.of(survey),
+            routing=settings.routing,
+            simulation=settings.simulation,
+            seed=settings.run.seed,
+            plan=_plan(planned) if _is_planned(run, survey) else None,
+        )
 
 
-def _plan(rows: pl.DataFrame | None) -> Planned:
-    if rows is None:
-        return Planned.empty()
+def _plan(rows: pl.DataFrame) -> Planned:
     return Planned(*(rows[name].to_numpy().astype(np.int64) for name in ("target_id", "group", "visit")))
 
 

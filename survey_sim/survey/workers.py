@@ -13,9 +13,11 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import chain, islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from survey_sim.errors import InputError
@@ -56,23 +58,25 @@ class Workers:
         """Whether there are processes besides this one."""
         return self.n > 0 or self.scheduler is not None
 
-    def stream(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
-        """Results of the tasks as they come; a bounded number is under way.
+    def stream(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        """Results of the tasks as they come; a bounded number is under way, and no other is made.
 
         Raises
         ------
         InputError
             The scheduler cannot be reached, or has gone away; results given before are whole.
         """
-        if not self.are_elsewhere or (self.scheduler is None and len(tasks) <= 1):
-            yield from map(function, tasks)
+        waiting = iter(tasks)
+        first = list(islice(waiting, 2))
+        waiting = chain(first, waiting)
+        if not self.are_elsewhere or (self.scheduler is None and len(first) <= 1):
+            yield from map(function, waiting)
             return
         from distributed import as_completed  # noqa: PLC0415
         from distributed.client import FutureCancelledError  # noqa: PLC0415
         from distributed.comm import CommClosedError  # noqa: PLC0415
 
         client = self._open()
-        waiting = iter(tasks)
         futures: Any = as_completed()
 
         def submit_next() -> None:
@@ -136,7 +140,14 @@ class Workers:
 
 
 def memory_mib() -> float:
-    """Largest memory of this process so far, MiB."""
+    """Largest memory of this process so far, MiB.
+
+    By `getrusage` a process begins with the largest memory of the one that started it, so Linux is asked otherwise.
+    """
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
