@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from survey_sim.check.kernels import least_separations
 from survey_sim.instrument import Instrument, Plate, load_instrument, make_plate
 from survey_sim.routing import RoutedPath
+from tests.proved import count_too_near
 
 SEPARATION_MM = 9.0
 # A separation that rounding does not undercut.
@@ -134,22 +134,4 @@ def assert_sound(field: HardField, path: RoutedPath) -> None:
     is_last = np.diff(legs.robot, append=-1) != 0
     end[legs.robot[is_last]] = np.column_stack([legs.x_mm, legs.y_mm])[is_last]
     np.testing.assert_array_equal(end, np.where(arrived[:, None], field.goal_mm, field.start_mm))
-    theta, turn_s = np.radians(legs.theta_deg), np.abs(legs.rotate_deg) / plate.instrument.rotation_speed_deg_s
-    rows = [
-        legs.start_s,
-        turn_s,
-        legs.dx_mm,
-        legs.dy_mm,
-        legs.precise_mm,
-        np.cos(theta),
-        np.sin(theta),
-        legs.x_mm,
-        legs.y_mm,
-    ]
-    first_leg = np.searchsorted(legs.robot, np.arange(plate.n_robot + 1)).astype(np.int64)
-    first_row = np.array([0, plate.n_robot])
-    speeds = plate.instrument.coarse_speed_mm_s, plate.instrument.precise_speed_mm_s
-    limit = plate.instrument.min_separation_mm - 1e-6
-    near = np.full((4, 4), np.nan)
-    least, n_near = least_separations(1, first_row, field.start_mm, first_leg, np.column_stack(rows), *speeds, limit, near)
-    assert n_near.sum() == 0, (least, near)
+    assert count_too_near(plate, field.start_mm, legs) == 0

@@ -110,6 +110,21 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [link for link in links if not link.startswith(made) and not (page.parent / link).exists()] == []
 
 
+def test_every_promise_names_tests_that_exist() -> None:
+    page = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
+    files = {path: (ROOT / path).read_text(encoding="utf-8") for path in re.findall(r"`(tests/[\w/.]+\.\w+)`", page)}
+    files |= {name: (ROOT / "tests" / name).read_text(encoding="utf-8") for name in re.findall(r"`(test_\w+\.py)`", page)}
+    assert len(files) > 15
+    sources = "\n".join(files.values())
+    named = re.findall(r"`(test_\w+)`|\b(Test[A-Z]\w+)", page)
+    assert named
+    for function, kind in named:
+        assert re.search(rf"^ *def {function}\(" if function else rf"^class {kind}\b", sources, flags=re.MULTILINE), (
+            function,
+            kind,
+        )
+
+
 def test_the_data_model_page_is_up_to_date() -> None:
     assert (ROOT / "docs" / "data-model.md").read_text(encoding="utf-8") == data_model_page(), "run `make docs`"
 

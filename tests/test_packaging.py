@@ -13,6 +13,8 @@ from zipfile import ZipFile
 
 import pytest
 
+from tests.faults import BRIEF_COMMAND, run_to_the_end, table_bytes
+
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Modules whose package has another name; tools that are called, not imported; and what comes with a package that is named.
@@ -102,6 +104,8 @@ def test_the_wheel_runs_a_survey_outside_the_checkout(built: Path, tmp_path: Pat
     call("-m", "survey_sim", "run", "tiny.toml", "--serial")
     call("-m", "survey_sim", "check", "runs/tiny")
     assert (place / "runs" / "tiny" / "report" / "index.html").stat().st_size > 10_000
+    run_to_the_end(BRIEF_COMMAND, place / "tiny.toml", place / "runs" / "checkout", cwd=ROOT)
+    assert table_bytes(place / "runs" / "checkout") == table_bytes(place / "runs" / "tiny")
 
 
 def test_the_sdist_builds_the_same_wheel(built: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from astropy.units import Unit
 from survey_sim import tables
 from survey_sim.errors import InputError
 from survey_sim.instrument import load_instrument, make_plate, robots_table
-from survey_sim.schema import TABLES
+from survey_sim.schema import SCHEMA_VERSION, TABLES
 
 
 @pytest.fixture
@@ -86,6 +86,11 @@ def test_scan_refuses_what_is_no_table_of_this_version(robots: pl.DataFrame, tmp
     robots.write_parquet(file)
     with pytest.raises(InputError, match="schema version none, this package reads"):
         tables.scan(tmp_path, "robots")
+    for version in (SCHEMA_VERSION - 1, SCHEMA_VERSION + 1):
+        other = robots.to_arrow().replace_schema_metadata({"survey_sim.schema_version": str(version)})
+        pq.write_table(other, file)
+        with pytest.raises(InputError, match=f"schema version {version}, this package reads {SCHEMA_VERSION}"):
+            tables.scan(tmp_path, "robots")
     file.write_bytes(b"PAR1 and then nothing")
     with pytest.raises(InputError, match="not a readable Parquet file"):
         tables.scan(tmp_path, "robots")

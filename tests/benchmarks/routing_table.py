@@ -20,18 +20,16 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from survey_sim.check.kernels import least_separations
 from survey_sim.instrument import Plate, load_instrument, make_plate
-from survey_sim.motion import Legs
 from survey_sim.routing import ROUTERS, RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import SimulationSettings, execute
 from tests.benchmarks.orca import steer
 from tests.benchmarks.yardstick import yardstick_s
 from tests.fields import chain, matched_field, random_field
 from tests.naive_routing import time_around_s
+from tests.proved import SEPARATION_TOLERANCE_MM, count_too_near
 
 CHAIN = 10
-SEPARATION_TOLERANCE_MM = 1e-6
 HEAD = (
     *("paths", "arrive %", "at bound %", "within 5 %", "ratio p50", "p99", "p99.9", "max"),
     *("ms p50", "p99", "max", "p50 / assignment", "too near"),
@@ -112,7 +110,7 @@ def warm() -> None:
     """Load what is compiled, so that no measured path waits for it."""
     for router in ROUTERS:
         for task, path, _ in with_dead(1, router, 0):
-            count_near(task, path.legs)
+            count_too_near(task.plate, task.start_mm, path.legs)
 
 
 def measure(make: Callable[[int], Iterator[tuple[Task, RoutedPath, float]]], seed: int) -> list[Measured]:
@@ -126,33 +124,8 @@ def measure(make: Callable[[int], Iterator[tuple[Task, RoutedPath, float]]], see
         ratio = path.configuration_time_s / bound_s if bound_s > 0 else 1.0
         n_live = int(plate.is_live.sum())
         n_lost = int((plate.is_live & ~is_routed & (path.reason != UnroutedReason.UNREACHABLE)).sum())
-        rows.append(Measured(task.label, ratio, n_live, n_lost, ms, count_near(task, path.legs)))
+        rows.append(Measured(task.label, ratio, n_live, n_lost, ms, count_too_near(task.plate, task.start_mm, path.legs)))
     return rows
-
-
-def count_near(task: Task, legs: Legs) -> int:
-    """Pairs nearer than the separation at some instant, by the independent check's closed form."""
-    instrument, n = task.plate.instrument, task.plate.n_robot
-    theta = np.radians(legs.theta_deg)
-    turn_s = np.abs(legs.rotate_deg) / instrument.rotation_speed_deg_s
-    columns = [
-        legs.start_s,
-        turn_s,
-        legs.dx_mm,
-        legs.dy_mm,
-        legs.precise_mm,
-        np.cos(theta),
-        np.sin(theta),
-        legs.x_mm,
-        legs.y_mm,
-    ]
-    first_leg = np.searchsorted(legs.robot, np.arange(n + 1))
-    speeds = instrument.coarse_speed_mm_s, instrument.precise_speed_mm_s
-    limit = instrument.min_separation_mm - SEPARATION_TOLERANCE_MM
-    near = np.full((1, 4), np.nan)
-    rows = np.column_stack(columns)
-    _, n_near = least_separations(1, np.array([0, n]), task.start_mm, first_leg, rows, *speeds, limit, near)
-    return int(n_near.sum())
 
 
 def orca(make: Callable[[int], Iterator[tuple[Task, RoutedPath, float]]], seed: int) -> list[Measured]:
