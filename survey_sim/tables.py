@@ -157,8 +157,9 @@ def unwritable(path: Path, failure: Exception) -> InputError:
 
 def clean_up(folder: Path) -> None:
     """Remove temporary files that a killed process left in a run's folder."""
-    for stray in [*folder.glob(f".*{TEMPORARY}"), *folder.glob(f".state/**/.*{TEMPORARY}")]:
-        stray.unlink(missing_ok=True)
+    for place in ("", ".state/**/", "report/**/"):
+        for stray in folder.glob(f"{place}.*{TEMPORARY}"):
+            stray.unlink(missing_ok=True)
 
 
 def files(run_dir: Path, table: str) -> list[Path]:

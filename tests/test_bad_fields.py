@@ -333,6 +333,7 @@ def test_a_command_that_dies_while_it_writes_is_typed_again(
         patch.setattr(tables, "write_bytes", write_some)
         with pytest.raises(KeyboardInterrupt):
             route_field([torn], router="traffic-light")
+    (torn / f".legs.parquet.1{tables.TEMPORARY}").write_text("half")
     refused(["view", torn, "--out", tmp_path / "page.html"], "gives no instrument")
     route_field([torn], router="traffic-light")
     assert {path.relative_to(torn) for path in torn.rglob("*")} == {path.relative_to(whole) for path in whole.rglob("*")}

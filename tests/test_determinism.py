@@ -31,8 +31,9 @@ def test_any_environment(name: str, pipeline: Path, undisturbed: Path, tmp_path:
     assert_same_run(tmp_path / "run", undisturbed)
 
 
-def test_three_workers(pipeline: Path, undisturbed: Path, tmp_path: Path) -> None:
-    run_to_the_end(BRIEF_COMMAND, pipeline, tmp_path / "run", "--workers", "3")
+@pytest.mark.parametrize("n_worker", ["1", "3"])
+def test_any_number_of_workers(n_worker: str, pipeline: Path, undisturbed: Path, tmp_path: Path) -> None:
+    run_to_the_end(BRIEF_COMMAND, pipeline, tmp_path / "run", "--workers", n_worker)
     assert_same_run(tmp_path / "run", undisturbed)
 
 

@@ -92,6 +92,13 @@ class TestKilled:
         run_here(pipeline, tmp_path / "run")
         assert_same_run(tmp_path / "run", finished)
 
+    def test_what_a_killed_process_left_half_written_goes_away(self, pipeline: Path, finished: Path, copy: Path) -> None:
+        for place in ("", ".state", ".state/parts", "report/figures"):
+            (copy / place).mkdir(exist_ok=True)
+            (copy / place / f".half.png.1{tables.TEMPORARY}").write_bytes(b"PNG")
+        run_here(pipeline, copy)
+        assert_same_run(copy, finished)
+
     def test_interrupted_with_all_its_workers(self, pipeline: Path, finished: Path, tmp_path: Path) -> None:
         """Ctrl-C in a terminal reaches the whole process group."""
         out = tmp_path / "run"

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Patch
 
 from survey_sim.geometry import sky_to_plate
 from survey_sim.plotting.run import RunTables, Visit
@@ -18,6 +18,7 @@ from survey_sim.plotting.style import INK, KIND_COLOURS, MUTED, survey_colours
 FloatArray = npt.NDArray[np.float64]
 
 KIND_MARKERS = {"science": "o", "standard": "*", "sky": "s", "guide": "D"}
+_KIND_WORDS = {"science": "science target", "standard": "standard", "sky": "sky", "guide": "guide star"}
 KIND_SIZES = {"science": 17.0, "standard": 52.0, "sky": 15.0, "guide": 18.0}
 # Discs of the robots that travel furthest.
 N_DISC = 3
@@ -62,6 +63,23 @@ def draw_plate(axes: Axes, run: RunTables, plate: PlateVisit) -> None:
     edge = axes.add_patch(Circle((0, 0), radius, facecolor="#FAFAF7", edgecolor=MUTED, linewidth=1.0, zorder=0))
     x, y = plate.targets_mm.T
     axes.scatter(x, y, s=3.0, color="#9C9C9C", linewidth=0, label="science target", rasterized=True, zorder=1)
+    _draw_reaches(axes, plate, edge)
+    park = plate.robots.select("park_x_mm", "park_y_mm").to_numpy()
+    axes.scatter(
+        park[:, 0], park[:, 1], s=13, marker="+", color=INK, linewidth=0.6, alpha=0.55, label="park position", zorder=2
+    )
+    axes.add_collection(LineCollection(plate.ways_mm, colors=INK, linewidths=0.9, zorder=3, label="move"))
+    _draw_robots(axes, plate, hue)
+    axes.set(xlim=(-1.04 * radius, 1.04 * radius), ylim=(-1.04 * radius, 1.04 * radius), aspect="equal")
+    step = 10.0 ** np.floor(np.log10(radius)) / 2.0
+    ticks = np.arange(-np.floor(radius / step), np.floor(radius / step) + 1) * step
+    axes.set(xticks=ticks, yticks=ticks)
+    axes.set(xlabel="Plate x, east (mm)", ylabel="Plate y, north (mm)")
+    axes.grid(False)
+
+
+def _draw_reaches(axes: Axes, plate: PlateVisit, edge: Patch) -> None:
+    """Patrol discs of the robots that go furthest, as far as they lie on the plate."""
     furthest = (
         plate.robots.sort("travel_mm", "robot_id", descending=[True, False]).filter(pl.col("travel_mm") > 0).head(N_DISC)
     )
@@ -79,11 +97,10 @@ def draw_plate(axes: Axes, run: RunTables, plate: PlateVisit) -> None:
             )
         )
         disc.set_clip_path(edge)
-    park = plate.robots.select("park_x_mm", "park_y_mm").to_numpy()
-    axes.scatter(
-        park[:, 0], park[:, 1], s=13, marker="+", color=INK, linewidth=0.6, alpha=0.55, label="park position", zorder=2
-    )
-    axes.add_collection(LineCollection(plate.ways_mm, colors=INK, linewidths=0.9, zorder=3, label="move"))
+
+
+def _draw_robots(axes: Axes, plate: PlateVisit, hue: str) -> None:
+    """Robots where they end, by what they hold; `hue` is that of science."""
     for kind, marker in KIND_MARKERS.items():
         held = plate.robots.filter(kind=kind)
         if held.is_empty():
@@ -105,15 +122,6 @@ def draw_plate(axes: Axes, run: RunTables, plate: PlateVisit) -> None:
         axes.scatter(
             dead["x_mm"], dead["y_mm"], s=30, marker="x", color="#B00020", label=f"dead robot ({len(dead)})", zorder=6
         )
-    axes.set(xlim=(-1.04 * radius, 1.04 * radius), ylim=(-1.04 * radius, 1.04 * radius), aspect="equal")
-    step = 10.0 ** np.floor(np.log10(radius)) / 2.0
-    ticks = np.arange(-np.floor(radius / step), np.floor(radius / step) + 1) * step
-    axes.set(xticks=ticks, yticks=ticks)
-    axes.set(xlabel="Plate x, east (mm)", ylabel="Plate y, north (mm)")
-    axes.grid(False)
-
-
-_KIND_WORDS = {"science": "science target", "standard": "standard", "sky": "sky", "guide": "guide star"}
 
 
 def _starts(run: RunTables, visit: Visit) -> pl.DataFrame:

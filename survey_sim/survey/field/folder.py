@@ -81,6 +81,7 @@ def write_folder(
     """
     encoded = {table_path(out, name): tables.encode(frame, name) for name, frame in frames.items()}
     encoded |= {out / place: content for place, content in files.items()}
+    tables.clean_up(out)
     # Until all is written, run.json gives no instrument, and no command takes the folder for a run.
     _write_record(out, {})
     for path, content in encoded.items():
