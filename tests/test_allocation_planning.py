@@ -156,3 +156,20 @@ def test_a_pull_to_park_keeps_robots_near_it_and_costs_no_target():
         found[pull] = (session.is_complete.sum(), np.mean(away))
     assert found[1.0][0] == found[0.0][0]
     assert found[1.0][1] < 0.9 * found[0.0][1]
+
+
+@pytest.mark.parametrize(
+    ("plan", "complete"), [(None, [False, True, True]), ([[1, 1], [0, 0], [0, 0]], [True, False, False])]
+)
+def test_what_was_planned_goes_before_what_was_not(plan, complete):
+    """One robot and two visits: for two targets that want one, or for one that wants both."""
+    plate = make_plate(load_instrument("paper", {"park_positions_mm": [(0.0, 0.0)], "patrol_radius_mm": 14.0}))
+    targets = field_targets(np.array([(6.0, 0.0), (-6.0, 0.0), (0.0, 10.0)]), wanted_visits=np.array([2, 1, 1]))
+    is_planned = None if plan is None else np.array(plan, dtype=bool)
+    rng = np.random.default_rng(1)
+    session = start_allocation(targets, plate, AllocationSettings(visits=2), rng, plan=is_planned)
+    position = plate.park_mm
+    while (visit := session.next_visit(position)) is not None:
+        session.record(visit, np.ones(1, dtype=bool))
+        position = visit.goal_mm
+    assert session.is_complete.tolist() == complete

@@ -28,6 +28,8 @@ N_EXCHANGE = 30
 KEPT_FRAC = 0.9
 # Length of searches that begin from an older plan, as a share of those that begin from nothing.
 MEND_EFFORT_FRAC = 0.3
+# Worth of a fibre of a target that goes first, in fibres of one that does not: more than it can be in the way of.
+FIRST_WORTH = 8
 # Rounds that give up the targets least begun of those that cannot get all their visits.
 N_GIVE_UP = 4
 
@@ -45,6 +47,8 @@ class Planner:
         self._is_planned = np.zeros((field.targets.n_target, 0), dtype=bool) if plan is None else plan
         self._is_short = False
         self._unplanned = np.full(field.targets.n_target, -1, dtype=np.int64)
+        # Who planned knows what other tiles do: its targets go before all others.
+        self._goes_first = np.asarray(self._is_planned.any(axis=1))
 
     def __call__(self, field: Field, request: VisitRequest) -> IntArray:
         """(n_robot,) target of each robot or -1, of the next planned visit."""
@@ -79,6 +83,7 @@ class Planner:
         limit -= request.visit_id
         old = self._is_planned[:, :limit]
         search = Search(field, request, self._state, effort_frac=MEND_EFFORT_FRAC if old.any() else 1.0)
+        search.prefer(self._goes_first)
         least = min(limit, max(search.least_visits(), old.shape[1]))
         n_visit = least if settings.visits is None else limit
         kept = search.visits_of(old)
@@ -144,6 +149,11 @@ class Search:
         n_standard, n_sky = ((is_served & (targets.kind == code)).sum() for code in (STANDARD, SKY))
         n_reserved = min(settings.wanted_standard, n_standard) + min(settings.wanted_sky, n_sky)
         self.capacity = max(0, field.plate.n_science_live - int(n_reserved)) if capacity is None else capacity
+
+    def prefer(self, is_first: BoolArray) -> None:
+        """Make each fibre of some targets (n_target,), however many they want, worth more than one of any other."""
+        worth = np.round(FIRST_WORTH * VALUE_UNIT * self.field.value[self.item_target]).astype(np.int64)
+        self.value = np.where(is_first[self.item_target], worth, self.value)
 
     def least_visits(self) -> int:
         """Fewest visits that could do."""
