@@ -133,3 +133,63 @@ def test_guides_are_served_by_guide_robots_alone():
     assert ((targets.kind[visit.target[is_held]] == 3) == plate.is_guide[is_held]).all()
     assert visit.counts["standard"] == 10
     assert visit.counts["sky"] == 20
+
+
+def _exchange_session(algorithm="matching", **values):
+    """Two robots with two targets between them, and a third far off with its own."""
+    plate = plate_of([(0.0, 0.0), (30.0, 0.0), (0.0, 100.0)])
+    targets = field_targets([(5.0, 0.0), (25.0, 0.0), (0.0, 105.0)])
+    settings_ = AllocationSettings.load({"algorithm": algorithm, "visits": 2, **values})
+    session = start_allocation(targets, plate, settings_, np.random.default_rng(1))
+    return session, session.next_visit(plate.park_mm)
+
+
+@pytest.mark.parametrize("algorithm", ["matching", "plan"])
+def test_a_target_barred_to_its_robot_goes_to_another(algorithm):
+    session, visit = _exchange_session(algorithm)
+    assert visit.target.tolist() == [0, 1, 2]
+    assert session.exchanged(visit, 0, {0}, may_lengthen=False) is None
+    other = session.exchanged(visit, 0, {0}, may_lengthen=True)
+    assert other.target.tolist() == [1, 0, 2]
+    np.testing.assert_array_equal(other.goal_mm[0], [25.0, 0.0])
+    # Both that it could hold: then one would be lost. The third's is in nobody else's reach.
+    assert session.exchanged(visit, 0, {0, 1}, may_lengthen=True) is None
+    assert session.exchanged(visit, 2, {2}, may_lengthen=True) is None
+    session.record(other, np.ones(3, dtype=bool))
+    assert session.is_complete.all()
+    with pytest.raises(RuntimeError, match="between"):
+        session.exchanged(other, 0, {1}, may_lengthen=True)
+
+
+@pytest.mark.parametrize("values", [{"algorithm": "cda-basic"}, {"travel_power": 1.0}])
+def test_what_has_rules_of_its_own_is_not_exchanged(values):
+    session, visit = _exchange_session(**values)
+    assert session.exchanged(visit, 0, {0}, may_lengthen=True) is None
+
+
+@given(seed=st.integers(0, 2**32 - 1), may_lengthen=st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_exchanges_keep_targets_reach_and_separation(seed, may_lengthen):
+    rng = np.random.default_rng(seed)
+    plate, targets = (
+        make_plate(load_instrument("taipan-150", {"n_science": 40})),
+        survey_targets(uniform_xy(60, seed % 99), 1),
+    )
+    settings_ = AllocationSettings.load({"algorithm": "matching", "wanted_sky": 6, "min_sky": 3, "wanted_standard": 2})
+    session = start_allocation(targets, plate, settings_, rng)
+    visit = session.next_visit(plate.park_mm)
+    robot = int(rng.choice(np.flatnonzero(visit.target >= 0)))
+    other = session.exchanged(visit, robot, {int(visit.target[robot])}, may_lengthen=may_lengthen)
+    if other is None:
+        return
+    assert other.target[robot] != visit.target[robot]
+    fixed = [set(some.target[(some.target >= 0) & ~plate.is_guide].tolist()) for some in (visit, other)]
+    assert fixed[0] == fixed[1]
+    assert other.counts == visit.counts
+    away = np.hypot(*(other.goal_mm - plate.park_mm).T)
+    assert (away <= plate.patrol_radius_mm + 1e-9).all()
+    apart = np.hypot(*(other.goal_mm[:, None] - other.goal_mm[None]).transpose(2, 0, 1))
+    assert apart[~np.eye(len(apart), dtype=bool)].min() >= plate.instrument.min_separation_mm
+    if not may_lengthen:
+        has_target = other.target >= 0
+        assert away[has_target].max() <= np.hypot(*(visit.goal_mm - plate.park_mm)[visit.target >= 0].T).max() + 1e-9

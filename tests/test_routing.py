@@ -80,6 +80,26 @@ def test_unavoidable_pair_of_figure_13(router):
         assert path.configuration_time_s == pytest.approx(path.lower_bound_s)
 
 
+def test_the_pair_that_needs_longer_than_the_bound_is_named():
+    """Two that change places hold the path up; a third, far off, does not; at the bound nobody is to blame."""
+    start, goal = [[0, 0], [100, 0], [15, 0]], [[15, 0], [90, 0], [0, 0]]
+    plate = _plate(start)
+    path = _route(plate, start, goal)
+    assert path.configuration_time_s > path.lower_bound_s
+    assert sorted(path.held_up) == [0, 2]
+    assert _route(plate, start, [[0, 0], [90, 0], [15, 0]]).held_up == ()
+
+
+def test_without_a_pair_the_robot_that_comes_last_is_named():
+    """Traffic light plans robot 0 first; robot 1, whose way crosses its line and is nearly as long, waits and comes last."""
+    start = [[0, 0], [30, 30]]
+    plate = _plate(start, patrol=70.0)
+    path = _route(plate, start, [[60, 0], [30, -29.5]], "traffic-light")
+    assert path.configuration_time_s > path.lower_bound_s
+    assert path.held_up == (1,)
+    assert _route(plate, start, [[60, 0], [30, 10]], "traffic-light").held_up == ()
+
+
 @pytest.mark.parametrize("router", ALL)
 def test_one_robot_takes_its_time_alone(router):
     plate = _plate([[0, 0], [60, 60]])

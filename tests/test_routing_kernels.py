@@ -175,3 +175,50 @@ def test_ring_of_robots_parts_inside_from_outside():
     wall = np.column_stack([np.zeros(7), np.arange(-3, 4) * 16.0])
     assert kernels.is_parted(-20.0, 0.0, 20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
     assert not kernels.is_parted(-20.0, 0.0, -20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
+
+
+# A robot whose way leads over another that has hardly anywhere to go: with a plan that ends a rounding error after the
+# bound, the search for the pair's least duration once went on for ever.
+_TIGHT_BOUND_S = 17.017137617342993
+_TIGHT_PAIR = np.zeros(2, dtype=kernels.ROBOT)
+for _name, _values in {
+    **{"sx": (108.45, 120.5), "sy": (104.35606115602485, 83.48484892481989)},
+    **{"gx": (125.80280661681235, 119.13443971463191), "gy": (77.41301515385823, 83.4572590815885)},
+    **{"hx": (1.0, 1.0), "park_x": (108.45, 120.5), "park_y": (104.35606115602485, 83.48484892481989)},
+    **{"reach": (50.0, 50.0), "alone": (_TIGHT_BOUND_S, 0.7532417309664029), "is_free": (True, True)},
+}.items():
+    _TIGHT_PAIR[_name] = _values
+# Searches in which it ends are at most six.
+_MANY = 60
+
+
+class _EndlessError(Exception):
+    pass
+
+
+def _least_of_tight_pair(tolerance_s, seed):
+    """Least duration that is found, s; _EndlessError after too many searches."""
+    n_search, search = 0, kernels.repair
+
+    def counted(*args):
+        nonlocal n_search
+        n_search += 1
+        if n_search > _MANY:
+            raise _EndlessError
+        return search(*args)
+
+    plans = kernels.stand_still(_TIGHT_PAIR.copy(), np.zeros(2, kernels.PLAN))
+    plans = plans._replace(robot=plans.robot.view(np.recarray))
+    least = getattr(kernels.least_of_pair, "py_func", kernels.least_of_pair)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels, "repair", counted)
+        patch.setattr(kernels, "SAME_DELAY_S", tolerance_s)
+        effort, rng = kernels.Effort(12, 40, 60, 100, 300), np.random.default_rng(seed)
+        return least(PHYSICS, plans, rng, 0, 1, _TIGHT_BOUND_S, effort, R - 0.9e-6, 0.0)
+
+
+@pytest.mark.parametrize("seed", [2, 5, 6])
+def test_a_pair_that_ends_a_rounding_error_late_is_at_the_bound(seed):
+    assert _least_of_tight_pair(kernels.SAME_DELAY_S, seed) == _TIGHT_BOUND_S
+    with pytest.raises(_EndlessError):
+        _least_of_tight_pair(0.0, seed)

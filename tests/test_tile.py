@@ -13,6 +13,7 @@ from survey_sim.instrument import load_instrument, make_plate
 from survey_sim.motion import Legs
 from survey_sim.routing import RoutingSettings
 from survey_sim.simulation import SimulationSettings, execute
+from survey_sim.survey import tile
 from survey_sim.survey.tile import TileJob, magnitude_groups, simulate_tile, stream
 
 CENTRE = (150.0, -30.0)
@@ -141,6 +142,25 @@ def test_paths_are_played_with_errors_if_there_are_any() -> None:
     assert row["moving_time_s"] != made["paths"]["configuration_time_s"][0]
 
 
+@pytest.mark.parametrize(("algorithm", "n_science"), [("matching", 450), ("plan", 150)])
+def test_robots_that_hold_a_path_up_exchange_targets(
+    algorithm: str, n_science: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same targets in the first visit, as many in all; fewer paths above the bound."""
+    job = replace(_job(n_science, algorithm=algorithm, visits=3), routing=RoutingSettings())
+    jobs = [replace(job, seed=k, centre_deg=(CENTRE[0] + 0.3 * k, CENTRE[1])) for k in range(4)]
+    settled = [simulate_tile(job) for job in jobs]
+    monkeypatch.setattr(tile, "N_EXCHANGE", 0)
+    plain = [simulate_tile(job) for job in jobs]
+    for made in zip(settled, plain, strict=True):
+        first, other = (set(one["allocations"].filter(visit_id=0)["target_id"].drop_nulls()) for one in made)
+        assert first == other
+        assert made[0]["visits"]["n_science"].to_list() == made[1]["visits"]["n_science"].to_list()
+    paths = [pl.concat([made["paths"] for made in some]) for some in (settled, plain)]
+    above = [(some["configuration_time_s"] > some["lower_bound_s"] * (1 + 1e-9)).sum() for some in paths]
+    assert above[0] < above[1]
+
+
 def _ring_job(*places: tuple[float, float], algorithm: str) -> TileJob:
     """Robot 1 in a ring of six dead ones, robot 8 free; targets at these places, mm."""
     ring = [(10.0 * np.cos(turn), 10.0 * np.sin(turn)) for turn in np.arange(6) * np.pi / 3]
@@ -153,7 +173,19 @@ def _ring_job(*places: tuple[float, float], algorithm: str) -> TileJob:
 
 @pytest.mark.parametrize("algorithm", ["matching", "plan"])
 def test_a_target_that_its_robot_cannot_reach_is_given_to_another(algorithm: str) -> None:
-    """The target is nearer to the robot in the ring; the other gets it at the next visit."""
+    """The target is nearer to the robot in the ring; the other gets it, in the same visit."""
+    made = simulate_tile(_ring_job((19.6, 0.0), algorithm=algorithm))
+    assert made["visits"]["n_science"].to_list() == [1]
+    assert made["visits"]["unrouted"].to_list() == [0]
+    held = made["allocations"].drop_nulls("target_id")
+    assert held.select("visit_id", "robot_id").rows() == [(0, 8)]
+    assert made["unallocated"].is_empty()
+
+
+@pytest.mark.parametrize("algorithm", ["matching", "plan"])
+def test_a_target_that_was_not_reached_is_given_to_another_later(algorithm: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without exchanges the other robot gets it at the next visit."""
+    monkeypatch.setattr(tile, "N_EXCHANGE", 0)
     made = simulate_tile(_ring_job((19.6, 0.0), algorithm=algorithm))
     assert made["visits"]["n_science"].to_list() == [0, 1]
     assert made["visits"]["unrouted"].to_list() == [1, 0]

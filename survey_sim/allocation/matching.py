@@ -1,5 +1,8 @@
 """One visit, exactly: most value of targets, then least travel, no two targets too close."""
 
+from collections.abc import Collection
+from dataclasses import replace
+
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
@@ -7,6 +10,7 @@ from survey_sim.allocation.kernels import nearest_squared, pick_apart, take_in_o
 from survey_sim.allocation.matching_kernels import match_open
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, STANDARD, FloatArray, IntArray
 from survey_sim.allocation.untangle_kernels import untangle
+from survey_sim.schema import TARGET_KINDS
 
 # Worth of a fibre that the visit must have, in science targets: at most five targets near one are apart from each other, so
 # nothing that it displaces is worth as much.
@@ -140,6 +144,44 @@ def untangled(field: Field, request: VisitRequest, held: IntArray) -> IntArray:
         field.near_first, field.near, guides, field.separation_mm, held,
     )  # fmt: skip
     return held
+
+
+def exchanged(
+    field: Field, request: VisitRequest, held: IntArray, robot: int, barred: Collection[int], *, may_lengthen: bool
+) -> IntArray | None:
+    """The targets that a visit holds, some barred to one robot: matched anew at least cost, as many as before.
+
+    Guides may take other stars. None if a target would be lost, or if least travel is all that is wanted.
+
+    Parameters
+    ----------
+    may_lengthen
+        Whether ways may grow beyond the longest there are, from where the robots stand and from park.
+    """
+    if held[robot] < 0 or field.settings.travel_power <= 1.0:
+        return None
+    kind, plate = field.targets.kind, field.plate
+    is_open = request.is_open & (kind == GUIDE)
+    is_open[held[held >= 0]] = True
+    is_idle_guide = plate.is_guide & (held < 0)
+    is_pair_open = request.is_pair_open & ~is_idle_guide[field.reach_robot]
+    if not may_lengthen:
+        is_pair_open &= _is_within_longest(field, request.start_mm, held) & _is_within_longest(field, plate.park_mm, held)
+    for target in barred:
+        pairs = slice(field.reach_first[target], field.reach_first[target + 1])
+        is_pair_open[pairs] &= field.reach_robot[pairs] != robot
+    found = match(field, request.start_mm, is_open, is_pair_open, np.ones(len(is_open)))
+    n_kind = len(TARGET_KINDS)
+    n_found, n_held = (np.bincount(kind[some[some >= 0]], minlength=n_kind) for some in (found, held))
+    if (n_found < n_held).any():
+        return None
+    return untangled(field, replace(request, is_pair_open=is_pair_open), found)
+
+
+def _is_within_longest(field: Field, place_mm: FloatArray, held: IntArray) -> BoolArray:
+    """(n_pair,) whether a robot, at its (n_robot, 2) place, is no further from a target than any is from what it holds."""
+    longest = np.hypot(*(field.xy_mm[held] - place_mm)[held >= 0].T).max(initial=0.0)
+    return np.hypot(*(field.xy_mm[field.pair_target()] - place_mm[field.reach_robot]).T) <= longest
 
 
 def sky_by_region(field: Field, held: IntArray) -> IntArray:

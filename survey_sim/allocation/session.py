@@ -1,6 +1,6 @@
 """The allocation of one tile, visit by visit, with what the router reports in between."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +12,7 @@ from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_fie
 from survey_sim.allocation.foreign import checked_choice
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle, reach_lists
-from survey_sim.allocation.matching import choose_matching
+from survey_sim.allocation.matching import choose_matching, exchanged
 from survey_sim.allocation.planning import Planner
 from survey_sim.allocation.settings import AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
@@ -33,6 +33,8 @@ ALLOCATORS: dict[str, Allocator] = {
     "matching": lambda field, rng: choose_matching,
     "plan": Planner,
 }
+# Algorithms that leave it open which robot holds what: the paper's have their own rules.
+EXCHANGING = ("matching", "plan")
 
 
 @dataclass(frozen=True)
@@ -136,14 +138,31 @@ class Session:
         missing = self._missing()
         is_open = self.field.is_on_plate & ((missing > 0) | ~self.field.targets.is_science)
         is_open &= ~self.field.blocked_by(start_mm[~plate.is_live])
-        held = self._choose(self.field, VisitRequest(self._n_visit, start_mm, is_open, self._is_pair_open, missing))
-        goal = start_mm.copy() if settings.algorithm == "ideal" else self._goals(held, start_mm)
-        goal[held >= 0] = self.field.xy_mm[held[held >= 0]]
-        visit = _make_visit(self.field, self._n_visit, held, start=start, start_mm=start_mm, goal_mm=goal)
+        self._request = VisitRequest(self._n_visit, start_mm, is_open, self._is_pair_open, missing)
+        visit = self._visit(self._choose(self.field, self._request), start)
         if visit.counts["science"] < settings.min_gain:
             return None
         self._awaits_record = True
         return visit
+
+    def exchanged(
+        self, visit: VisitAllocation, robot: int, barred: Collection[int], *, may_lengthen: bool
+    ) -> VisitAllocation | None:
+        """The visit that awaits its record again, some targets barred to a robot; None if one would be lost by it.
+
+        So a robot that holds a path up may be got out of the way. `record` takes the visit that is made.
+
+        Parameters
+        ----------
+        may_lengthen
+            Whether ways may grow beyond the longest there are, from where the robots stand and from park.
+        """
+        if not self._awaits_record:
+            raise RuntimeError("exchange robots between next_visit() and record()")
+        if self.field.settings.algorithm not in EXCHANGING:
+            return None
+        held = exchanged(self.field, self._request, visit.target, robot, barred, may_lengthen=may_lengthen)
+        return None if held is None else self._visit(held, visit.start)
 
     def record(self, visit: VisitAllocation, is_arrived: BoolArray) -> None:
         """Take note of a visit that was made; targets of robots that did not arrive are open again, to other robots.
@@ -193,6 +212,13 @@ class Session:
         """(n_target,) visits that each science target on the plate still wants."""
         targets = self.field.targets
         return np.where(targets.is_science & self.field.is_on_plate, np.maximum(targets.wanted_visits - self.n_done, 0), 0)
+
+    def _visit(self, held: IntArray, start: Start) -> VisitAllocation:
+        """The visit in which robots hold these targets."""
+        start_mm, xy = self._request.start_mm, self.field.xy_mm
+        goal = start_mm.copy() if self.field.settings.algorithm == "ideal" else self._goals(held, start_mm)
+        goal[held >= 0] = xy[held[held >= 0]]
+        return _make_visit(self.field, self._n_visit, held, start=start, start_mm=start_mm, goal_mm=goal)
 
     def _goals(self, held: IntArray, start_mm: FloatArray) -> FloatArray:
         """Ends of all robots; where an idle one finds no room, the nearest science target is given up (in `held`)."""

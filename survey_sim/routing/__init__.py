@@ -11,7 +11,7 @@ import numpy as np
 
 from survey_sim.extensions import load
 from survey_sim.instrument import Plate
-from survey_sim.motion import FloatArray, Legs, leg_times_s
+from survey_sim.motion import FloatArray, leg_times_s
 from survey_sim.routing.coordinated import route_coordinated
 from survey_sim.routing.foreign import checked_routes
 from survey_sim.routing.prioritised import route_cooperative_astar, route_traffic_light
@@ -20,14 +20,28 @@ from survey_sim.routing.problem import (
     Problem,
     RoutedPath,
     RoutingSettings,
+    Solution,
     UnroutedReason,
     check_problem,
 )
 from survey_sim.routing.simple_vector import route_simple_vector
 
-__all__ = ["ROUTERS", "ROUTER_NAMES", "Problem", "RoutedPath", "Router", "RoutingSettings", "UnroutedReason", "route"]
+__all__ = [
+    "ROUTERS",
+    "ROUTER_NAMES",
+    "Problem",
+    "RoutedPath",
+    "Router",
+    "RoutingSettings",
+    "Solution",
+    "UnroutedReason",
+    "route",
+]
 
-Router = Callable[[Problem, RoutingSettings, np.random.Generator], tuple[Legs, np.ndarray]]
+# Times this share above the bound are at it: rounding.
+BOUND_TOLERANCE = 1e-9
+
+Router = Callable[[Problem, RoutingSettings, np.random.Generator], Solution]
 
 ROUTERS: dict[str, Router] = {
     "simple-vector": lambda problem, settings, rng: route_simple_vector(problem),
@@ -66,23 +80,29 @@ def route(
     """
     problem = check_problem(plate, start_mm, start_theta_deg, goal_mm)
     if settings.router in ROUTERS:
-        legs, reason = ROUTERS[settings.router](problem, settings, rng)
+        solution = ROUTERS[settings.router](problem, settings, rng)
     else:
-        legs, reason = checked_routes(problem, settings, load("router", settings.router)(problem, settings, rng))
-    return _result(problem, legs, reason)
+        solution = checked_routes(problem, settings, load("router", settings.router)(problem, settings, rng))
+    return _result(problem, solution)
 
 
-def _result(problem: Problem, legs: Legs, reason: np.ndarray) -> RoutedPath:
+def _result(problem: Problem, solution: Solution) -> RoutedPath:
+    legs, reason, slow_pair = solution
     end_mm, end_theta = problem.start_mm.copy(), problem.start_theta_deg.copy()
     last = np.flatnonzero(np.diff(legs.robot, append=-1) != 0)
     end_mm[legs.robot[last]] = np.column_stack([legs.x_mm[last], legs.y_mm[last]])
     end_theta[legs.robot[last]] = legs.theta_deg[last]
     rotating, moving = leg_times_s(problem.plate.instrument, legs)
+    rest_s = legs.start_s + rotating + moving
+    time_s = float(rest_s.max(initial=0.0))
+    bound_s = float(problem.alone_s[reason == UnroutedReason.ARRIVED].max(initial=0.0))
+    is_above = time_s > bound_s * (1.0 + BOUND_TOLERANCE)
     return RoutedPath(
         legs=legs,
         reason=reason,
         end_mm=end_mm,
         end_theta_deg=end_theta,
-        lower_bound_s=float(problem.alone_s[reason == UnroutedReason.ARRIVED].max(initial=0.0)),
-        configuration_time_s=float((legs.start_s + rotating + moving).max(initial=0.0)),
+        lower_bound_s=bound_s,
+        configuration_time_s=time_s,
+        held_up=(slow_pair or (int(legs.robot[np.argmax(rest_s)]),)) if is_above else (),
     )

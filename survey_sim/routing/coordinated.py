@@ -20,36 +20,33 @@ import numpy.typing as npt
 
 from survey_sim.motion import FloatArray, Legs, make_legs
 from survey_sim.routing import kernels
-from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
+from survey_sim.routing.problem import Problem, RoutingSettings, Solution, UnroutedReason
 
 # Steps of the search (`kernels.Effort`); those at one duration, and as many before a robot is given up.
 N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, N_PATIENT = 12, 40, 60, 100, 2000
 
 
-def route_coordinated(
-    problem: Problem, settings: RoutingSettings, rng: np.random.Generator
-) -> tuple[Legs, npt.NDArray[np.int8]]:
-    """Legs and (n_robot,) reasons; with the margin if that routes everybody who can be."""
-    legs, reason = _plan(problem, settings, settings.margin_mm, rng)
-    has_failed = np.isin(reason, (UnroutedReason.NO_PATH, UnroutedReason.DEADLOCK)).any()
+def route_coordinated(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> Solution:
+    """Legs and reasons; with the margin if that routes everybody who can be."""
+    solution = _plan(problem, settings, settings.margin_mm, rng)
+    has_failed = np.isin(solution.reason, (UnroutedReason.NO_PATH, UnroutedReason.DEADLOCK)).any()
     if settings.margin_mm > 0 and has_failed:
-        legs, reason = _plan(problem, settings, 0.0, rng)
-    return legs, reason
+        solution = _plan(problem, settings, 0.0, rng)
+    return solution
 
 
-def _plan(
-    problem: Problem, settings: RoutingSettings, margin: float, rng: np.random.Generator
-) -> tuple[Legs, npt.NDArray[np.int8]]:
+def _plan(problem: Problem, settings: RoutingSettings, margin: float, rng: np.random.Generator) -> Solution:
     phys, separation = physics(problem), problem.separation_mm
     reason = find_unreachable(problem)
     is_fixed = ~problem.plate.is_live | (reason != UnroutedReason.ARRIVED)
     plans = new_plans(problem, is_fixed)
     kernels.start_directly(phys, plans, separation, margin)
+    slow_pair = np.full(2, -1)
     if plans.n_conflict.any():
         bound = float(plans.robot["alone"].max())
         kept = new_plans(problem, is_fixed)
         effort = kernels.Effort(N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, settings.n_repair)
-        while not kernels.coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
+        while not kernels.coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_pair):
             if effort.quick < N_PATIENT:
                 effort = effort._replace(quick=N_PATIENT)
                 continue
@@ -58,7 +55,7 @@ def _plan(
             for other in _cascade(problem, plans):
                 kernels.ground(plans, other, separation, margin)
                 reason[other] = UnroutedReason.DEADLOCK
-    return legs_of(problem, plans), reason
+    return Solution(legs_of(problem, plans), reason, tuple(slow_pair[slow_pair >= 0].tolist()))
 
 
 def find_unreachable(problem: Problem) -> npt.NDArray[np.int8]:

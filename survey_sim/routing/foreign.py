@@ -4,18 +4,17 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from survey_sim.errors import InputError
 from survey_sim.motion import Legs
-from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
+from survey_sim.routing.problem import Problem, RoutingSettings, Solution, UnroutedReason
 
 # How far from its goal a robot that arrives may end: rounding.
 END_TOLERANCE_MM = 1e-6
 
 
-def checked_routes(problem: Problem, settings: RoutingSettings, result: Any) -> tuple[Legs, npt.NDArray[np.int8]]:
-    """Legs and (n_robot,) reasons as the tables need them.
+def checked_routes(problem: Problem, settings: RoutingSettings, result: Any) -> Solution:
+    """Legs and reasons as the tables need them.
 
     Raises
     ------
@@ -59,4 +58,4 @@ def checked_routes(problem: Problem, settings: RoutingSettings, result: Any) -> 
         refuse("no reason for robots that do not end at their goals", problem.plate.robot_id[is_lost].tolist())
     typed = {field.name: np.float64 for field in fields(Legs)} | {"robot": np.int32, "leg": np.int16}
     whole = Legs(**{name: np.ascontiguousarray(column, dtype=typed[name]) for name, column in columns.items()})
-    return whole, np.asarray(reasons, dtype=np.int8)
+    return Solution(whole, np.asarray(reasons, dtype=np.int8))

@@ -1190,10 +1190,11 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
 
 
 @njit(cache=True)
-def least_of_pairs(phys, plans, rng, low, effort, separation, margin):
+def least_of_pairs(phys, plans, rng, low, effort, separation, margin, slow_pair):
     """Least duration from `low` on in which each pair now in conflict is found to do without one, were it alone.
 
     A pair that cannot do in the present duration is in conflict whatever the others do, so no other pair need be looked at.
+    Where that is longer, `slow_pair` (2,) is filled with the pair that needs it.
     """
     n = len(plans.robot)
     n_pair = 0
@@ -1204,23 +1205,26 @@ def least_of_pairs(phys, plans, rng, low, effort, separation, margin):
                 pairs[n_pair, 0], pairs[n_pair, 1] = i, j
                 n_pair += 1
     for k in range(n_pair):
-        low = least_of_pair(phys, plans, rng, pairs[k, 0], pairs[k, 1], low, effort, separation, margin)
+        least = least_of_pair(phys, plans, rng, pairs[k, 0], pairs[k, 1], low, effort, separation, margin)
+        if least > low:
+            low = least
+            slow_pair[:] = pairs[k]
     return low
 
 
 @njit(cache=True)
-def coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
+def coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_pair):
     """Plans without conflict, as near to `bound` as is found; returns whether there are any.
 
     First at the bound; where that fails, at the least duration of the pairs in conflict, each alone; then at longer ones,
     in strides, since those that fail cost most; then back down from plans that hold, part of the way to what failed or a
-    little, again and again until `effort.shorten` steps are used.
+    little, again and again until `effort.shorten` steps are used. `slow_pair` (2,) is filled as by `least_of_pairs`.
     """
     begin(phys, plans, rng, bound, effort.sample, separation, margin)
     if repair(phys, plans, rng, bound, effort.first, effort.sample, separation, margin) >= 0:
         return True
     unit = max(bound, SHORT_S)
-    low = least_of_pairs(phys, plans, rng, bound, effort, separation, margin)
+    low = least_of_pairs(phys, plans, rng, bound, effort, separation, margin, slow_pair)
     duration, failed, more, n_raise = low, bound, FIRST_STRIDE_FRAC * unit, 0
     while True:
         if duration > bound:
@@ -1228,7 +1232,7 @@ def coordinate(phys, plans, kept, rng, bound, effort, separation, margin):
         if repair(phys, plans, rng, duration, effort.quick, effort.sample, separation, margin) >= 0:
             break
         failed = duration
-        raised = least_of_pairs(phys, plans, rng, duration, effort, separation, margin)
+        raised = least_of_pairs(phys, plans, rng, duration, effort, separation, margin, slow_pair)
         if raised > duration and n_raise < MAX_RAISES:
             low = duration = raised
             n_raise += 1

@@ -13,28 +13,23 @@ that hold each other's goals stay unrouted, and nobody moves to make way.
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.motion import Legs
 from survey_sim.routing import kernels
 from survey_sim.routing.coordinated import legs_of, new_plans, physics
-from survey_sim.routing.problem import Problem, RoutingSettings, UnroutedReason
+from survey_sim.routing.problem import Problem, RoutingSettings, Solution, UnroutedReason
 
 # Lattice nodes that one search may open.
 N_EXPAND = 20_000
 
 
-def route_traffic_light(
-    problem: Problem, settings: RoutingSettings, rng: np.random.Generator
-) -> tuple[Legs, npt.NDArray[np.int8]]:
-    """Legs and (n_robot,) reasons."""
+def route_traffic_light(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> Solution:
+    """Legs and reasons."""
     plans = new_plans(problem, ~problem.plate.is_live, kernels.LATTICE_PLAN)
     waiting = _plan_straight(problem, plans, rng)
-    return legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.BLOCKED_STRAIGHT)
+    return Solution(legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.BLOCKED_STRAIGHT))
 
 
-def route_cooperative_astar(
-    problem: Problem, settings: RoutingSettings, rng: np.random.Generator
-) -> tuple[Legs, npt.NDArray[np.int8]]:
-    """Legs and (n_robot,) reasons."""
+def route_cooperative_astar(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> Solution:
+    """Legs and reasons."""
     plans = new_plans(problem, ~problem.plate.is_live, kernels.LATTICE_PLAN)
     waiting = _plan_straight(problem, plans, rng)
     phys, scratch = physics(problem), np.zeros(1, kernels.LATTICE_PLAN)
@@ -42,7 +37,7 @@ def route_cooperative_astar(
     while waiting and has_changed:
         left = [i for i in waiting if not kernels.plan_on_lattice(phys, plans, i, problem.separation_mm, scratch, N_EXPAND)]
         has_changed, waiting = len(left) < len(waiting), left
-    return legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.NO_PATH)
+    return Solution(legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.NO_PATH))
 
 
 def _plan_straight(problem: Problem, plans: kernels.Plans, rng: np.random.Generator) -> list[int]:

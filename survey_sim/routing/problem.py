@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +68,22 @@ class RoutingSettings(Settings):
         return self
 
 
+class Solution(NamedTuple):
+    """What a router gives back.
+
+    Attributes
+    ----------
+    legs, reason
+        Legs of the robots that move; (n_robot,) int8 codes of `UnroutedReason`.
+    slow_pair
+        The two robots that need longest, were they alone; empty where that is no longer than the bound, or not known.
+    """
+
+    legs: Legs
+    reason: npt.NDArray[np.int8]
+    slow_pair: tuple[int, ...] = ()
+
+
 @dataclass(frozen=True)
 class RoutedPath:
     """One collision-free path of all robots.
@@ -84,6 +100,9 @@ class RoutedPath:
         When the slowest robot that arrives would do so alone.
     configuration_time_s
         When the last robot comes to rest.
+    held_up
+        Where that is later than the bound, the robots to blame: two that need longer even with nobody else about, or, if
+        the router knows of none, the one that comes last. Empty at the bound.
     """
 
     legs: Legs
@@ -92,6 +111,7 @@ class RoutedPath:
     end_theta_deg: FloatArray
     lower_bound_s: float
     configuration_time_s: float
+    held_up: tuple[int, ...]
 
 
 @dataclass(frozen=True)

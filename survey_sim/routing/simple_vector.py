@@ -7,13 +7,13 @@ or dead robot, one that is itself blocked, or both ends of another's line (Figur
 
 import numpy as np
 
-from survey_sim.motion import Legs, leg_times_s, make_legs
+from survey_sim.motion import leg_times_s, make_legs
 from survey_sim.routing.kernels import simple_vector_batches
-from survey_sim.routing.problem import Problem, UnroutedReason
+from survey_sim.routing.problem import Problem, Solution, UnroutedReason
 
 
-def route_simple_vector(problem: Problem) -> tuple[Legs, np.ndarray]:
-    """Legs and (n_robot,) reasons."""
+def route_simple_vector(problem: Problem) -> Solution:
+    """Legs and reasons."""
     instrument = problem.plate.instrument
     batch = simple_vector_batches(problem.start_mm, problem.goal_mm, problem.has_to_move, problem.separation_mm)
     robot = np.flatnonzero(batch >= 0).astype(np.int32)
@@ -31,4 +31,4 @@ def route_simple_vector(problem: Problem) -> tuple[Legs, np.ndarray]:
     start_s = np.concatenate([[0.0], np.cumsum(longest_s)])[batch[robot]]
     is_unrouted = problem.has_to_move & (batch < 0)
     reason = np.where(is_unrouted, UnroutedReason.BLOCKED_STRAIGHT, UnroutedReason.ARRIVED).astype(np.int8)
-    return legs.starting_at(start_s), reason
+    return Solution(legs.starting_at(start_s), reason)

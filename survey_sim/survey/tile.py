@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from survey_sim.allocation import AllocationSettings, FieldTargets, Minima, start_allocation
+from survey_sim.allocation import AllocationSettings, FieldTargets, Minima, Session, VisitAllocation, start_allocation
 from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
@@ -22,6 +22,8 @@ from survey_sim.tiling import Planned
 PLAN_KEPT_FRAC = 0.99
 # More visits than planned that a tile may make for what calibration displaced: a galaxy loses all five for one.
 MOST_VISITS_MORE = 3
+# Exchanges tried for a visit on which a robot holds a path up, with no longer ways and with longer ones.
+N_EXCHANGE = 5
 # What tables say of each `UnroutedReason`.
 REASON_CODES = np.array([None if reason == UnroutedReason.ARRIVED else reason.code for reason in UnroutedReason])
 
@@ -61,6 +63,36 @@ class State:
 
     position_mm: FloatArray
     theta_deg: FloatArray
+
+
+@dataclass(frozen=True)
+class Routes:
+    """What the targets of a visit are good for: the ways to them, to them from park, and from them home to park.
+
+    `home` is `start_to_park` of the visit after.
+    """
+
+    to_target: RoutedPath
+    from_park: RoutedPath
+    home: RoutedPath
+
+    @property
+    def end(self) -> State:
+        """Where the visit leaves all robots."""
+        return State(self.to_target.end_mm, self.to_target.end_theta_deg)
+
+    @property
+    def cost(self) -> tuple[int, float]:
+        """Robots that do not arrive, and the time of all three, s."""
+        paths = (self.to_target, self.from_park, self.home)
+        n_unrouted = sum(int((path.reason != UnroutedReason.ARRIVED).sum()) for path in paths)
+        return n_unrouted, sum(path.configuration_time_s for path in paths)
+
+    @property
+    def blamed(self) -> list[int]:
+        """Robots that do not reach their targets, then those to blame where a path takes longer than its bound."""
+        lost = np.flatnonzero(self.to_target.reason != UnroutedReason.ARRIVED).tolist()
+        return [*lost, *self.to_target.held_up, *self.from_park.held_up, *self.home.held_up]
 
 
 def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:
@@ -139,13 +171,15 @@ def _visit_group(
         n_planned = is_planned.shape[1]
         settings = settings.model_copy(update={"max_visits": n_planned + MOST_VISITS_MORE if n_planned else 0})
     session = start_allocation(field, job.plate, settings, rng, rows.n_done[chosen], is_planned)
-    visit = session.next_visit(state.position_mm)
+    visit, home = session.next_visit(state.position_mm), None
     while visit is not None:
         start = park if visit.start == "park" else state
-        routed, to_target = _route(job, rows, "start_to_target", start, visit.goal_mm)
-        end = State(routed.end_mm, routed.end_theta_deg)
-        _route(job, rows, "start_to_park", state, _parked(job.plate, state))
-        _route(job, rows, "park_to_target", park, end.position_mm)
+        visit, routes = _settle(job, rows.n_visit, session, visit, start)
+        routed, end = routes.to_target, routes.end
+        to_target = _note(job, rows, "start_to_target", start, routed)
+        _note(job, rows, "start_to_park", state, home or _to_park(job, rows.n_visit, state))
+        _note(job, rows, "park_to_target", park, routes.from_park)
+        home = routes.home
         is_arrived = routed.reason == UnroutedReason.ARRIVED
         session.record(visit, is_arrived)
         held = np.where(is_arrived & (visit.target >= 0), chosen[visit.target], -1)
@@ -204,19 +238,54 @@ def field_of(job: TileJob) -> FieldTargets:
     return FieldTargets.from_table(on_plate, job.wanted_frac)
 
 
-def _parked(plate: Plate, state: State) -> FloatArray:
-    """Park positions; dead robots stay."""
-    return np.where(plate.is_live[:, None], plate.park_mm, state.position_mm)
-
-
 def _park(plate: Plate) -> State:
     return State(plate.park_mm, np.zeros(plate.n_robot))
 
 
-def _route(job: TileJob, rows: TileRows, path: str, start: State, goal_mm: FloatArray) -> tuple[RoutedPath, PlayedPath]:
-    """Route and play one path of the visit that comes next, and note its legs and times."""
-    rng = _stream(job, "routing", rows.n_visit, path)
-    routed = route(job.plate, start.position_mm, start.theta_deg, goal_mm, job.routing, rng)
+def _settle(
+    job: TileJob, number: int, session: Session, visit: VisitAllocation, start: State
+) -> tuple[VisitAllocation, Routes]:
+    """A visit, and its routes, after robots that hold a path up, or do not arrive, have exchanged targets with others.
+
+    Each target that such a robot has held is barred to it, and what it is given instead is tried next, first with no way
+    longer than the longest there is. What reaches more, or saves time, is kept.
+    """
+    routes = _routes(job, number, visit, start)
+    for may_lengthen in (False, True):
+        barred: dict[int, set[int]] = {}
+        for _ in range(N_EXCHANGE):
+            blamed = [robot for robot in routes.blamed if -1 not in barred.setdefault(robot, {int(visit.target[robot])})]
+            if not blamed:
+                break
+            robot = min(blamed, key=lambda robot: len(barred[robot]))
+            other = session.exchanged(visit, robot, barred[robot], may_lengthen=may_lengthen)
+            barred[robot].add(-1 if other is None else int(other.target[robot]))
+            if other is not None and (found := _routes(job, number, other, start)).cost < routes.cost:
+                visit, routes = other, found
+    return visit, routes
+
+
+def _routes(job: TileJob, number: int, visit: VisitAllocation, start: State) -> Routes:
+    to_target = _route(job, number, "start_to_target", start, visit.goal_mm)
+    end = State(to_target.end_mm, to_target.end_theta_deg)
+    from_park = _route(job, number, "park_to_target", _park(job.plate), end.position_mm)
+    return Routes(to_target, from_park, _to_park(job, number + 1, end))
+
+
+def _to_park(job: TileJob, number: int, state: State) -> RoutedPath:
+    """From here to park; dead robots stay."""
+    goal_mm = np.where(job.plate.is_live[:, None], job.plate.park_mm, state.position_mm)
+    return _route(job, number, "start_to_park", state, goal_mm)
+
+
+def _route(job: TileJob, number: int, path: str, start: State, goal_mm: FloatArray) -> RoutedPath:
+    """Route one path of the visit with this number."""
+    rng = _stream(job, "routing", number, path)
+    return route(job.plate, start.position_mm, start.theta_deg, goal_mm, job.routing, rng)
+
+
+def _note(job: TileJob, rows: TileRows, path: str, start: State, routed: RoutedPath) -> PlayedPath:
+    """Play one path of the visit that comes next, and note its legs and times."""
     played = simulate(job.plate, start.position_mm, start.theta_deg, routed.legs)
     made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
     rows.add_path(path, made)
@@ -224,4 +293,4 @@ def _route(job: TileJob, rows: TileRows, path: str, start: State, goal_mm: Float
         errors = _stream(job, "simulation", rows.n_visit, path)
         executed = execute(job.plate, start.position_mm, routed.legs, job.simulation, errors)
         rows.add_execution(path, job.simulation.mode, executed)
-    return routed, made
+    return made

@@ -28,7 +28,7 @@ def least_of_pair_s(problem: Problem, pair: tuple[int, int], bound_s: float, eff
     kernels.start_directly(phys, plans, separation, 0.0)
     if not plans.n_conflict.any():
         return bound_s
-    kernels.coordinate(phys, plans, kept, np.random.default_rng(0), bound_s, effort, separation, 0.0)
+    kernels.coordinate(phys, plans, kept, np.random.default_rng(0), bound_s, effort, separation, 0.0, np.full(2, -1))
     return max(bound_s, kernels.last_arrival(plans))
 
 

@@ -9,14 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from survey_sim.allocation import (
-    AllocationSettings,
-    FieldTargets,
-    completeness_bound,
-    ideal_completeness,
-    start_allocation,
-)
+from survey_sim.allocation import AllocationSettings, FieldTargets, completeness_bound, ideal_completeness
 from survey_sim.instrument import Plate, load_instrument, make_plate
+from tests.benchmarks.sessions import all_visits
 from tests.mock_targets import clumped_xy, clustered_xy, field_targets, uniform_xy
 
 N_TARGET = 1431
@@ -34,12 +29,7 @@ FIELDS: dict[str, Callable[[int], np.ndarray]] = {
 def completeness(targets: FieldTargets, plate: Plate, algorithm: str, visits: int) -> float:
     """Completeness after so many visits, were every robot to arrive."""
     settings = AllocationSettings.load({"algorithm": algorithm, "visits": visits, "bound": "none"})
-    session = start_allocation(targets, plate, settings, np.random.default_rng(1))
-    position, has_arrived = plate.park_mm, np.ones(plate.n_robot, dtype=bool)
-    while (visit := session.next_visit(position)) is not None:
-        session.record(visit, has_arrived)
-        position = visit.goal_mm
-    return session.completeness_frac
+    return all_visits(targets, plate, settings)[1]
 
 
 def figures(make: Callable[[int], np.ndarray], visits: int) -> Iterator[tuple[float, float, float, float]]:
