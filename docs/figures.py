@@ -14,20 +14,28 @@ from survey_sim.instrument import Plate, load_instrument, make_plate
 from survey_sim.motion import Legs, make_legs, make_trajectories
 from survey_sim.plotting import figure_style, new_figure
 from survey_sim.plotting.style import INK, KIND_COLOURS, MOTION_COLOURS, MUTED, SURVEY_HUES
+from survey_sim.region import healpix_29
 from survey_sim.routing import ROUTER_NAMES, RoutingSettings, route
 from survey_sim.simulation import simulate
+from survey_sim.survey.pooling import PoolRules, pool_survey
+from survey_sim.survey.workers import Workers
+from survey_sim.tiling import TilingSettings, make_tiles
 
 N_TARGET = 600
 ALGORITHMS = ("cda-basic", "cda-advanced", "matching", "plan")
 # Visit whose moves are shown: the third, when the nearest targets are taken.
 SHOWN_VISIT = 2
+# Side of the square whose tiles are shown, deg, and targets per square degree in its poor and its rich half.
+SKY_DEG, DENSITIES = 18.0, (15, 60)
+NUMBER_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
 
 
 def main(folder: Path) -> None:
     """Draw all figures."""
     folder.mkdir(parents=True, exist_ok=True)
     with figure_style():
-        for name, draw in {"leg": leg, "separation": separation, "allocation": allocation, "routers": routers}.items():
+        figures = {"leg": leg, "separation": separation, "allocation": allocation, "routers": routers, "tiles": tiles}
+        for name, draw in figures.items():
             draw().savefig(folder / f"{name}.png", dpi=130)
 
 
@@ -76,6 +84,44 @@ def separation() -> Figure:
     axes.annotate("min_separation_mm", (0.2, plate.instrument.min_separation_mm + 0.4), fontsize=9)
     axes.set(xlabel="time (s)", ylabel="distance of centres (mm)", ylim=(0, None))
     axes.legend()
+    return figure
+
+
+def tiles() -> Figure:
+    """Tiles of a square on the equator, rich in targets on one side, and the visits that pooling gives each."""
+    plate, rng = make_plate(load_instrument("taipan-150")), np.random.default_rng(1)
+    radius_deg = plate.instrument.field_radius_deg
+    n_target = [round(density * SKY_DEG**2 / 2) for density in DENSITIES]
+    west = np.repeat([0.0, -SKY_DEG / 2], n_target)
+    ra_deg = 180.0 + west + rng.uniform(0.0, SKY_DEG / 2, len(west))
+    targets = pl.DataFrame(
+        {
+            "target_id": np.arange(len(west)),
+            "survey": "taipan",
+            "programme": "galaxies",
+            "kind": "science",
+            "ra_deg": ra_deg,
+            "dec_deg": rng.uniform(-SKY_DEG / 2, SKY_DEG / 2, len(west)),
+            "mag": 15.0,
+            "priority": 5,
+            "wanted_visits": 1,
+        }
+    )
+    targets = targets.with_columns(_healpix_29=pl.Series(healpix_29(ra_deg, targets["dec_deg"].to_numpy())))
+    centres, targets = make_tiles(targets, TilingSettings(), radius_deg)
+    rules = PoolRules("taipan", {"galaxies": 0.95}, plate, AllocationSettings.load({}), seed=1)
+    _, plan = pool_survey(rules, targets, centres, Workers())
+    n_visit = plan.select("tile_id", "visit").unique().group_by("tile_id").len()
+    figure = new_figure(5.6, 5.0)
+    axes = figure.subplots()
+    axes.plot(targets["ra_deg"], targets["dec_deg"], ".", color=MUTED, markersize=0.6)
+    shown = centres.join(n_visit, on="tile_id", how="left").with_columns(pl.col("len").fill_null(0))
+    for ra, dec, n in shown.select("ra_deg", "dec_deg", "len").iter_rows():
+        axes.add_patch(Circle((ra, dec), radius_deg, facecolor="none", edgecolor=SURVEY_HUES[0], linewidth=0.8))
+        axes.annotate(f"{n}", (ra, dec), ha="center", va="center", fontsize=9, color=INK, bbox=NUMBER_BOX)
+    axes.set(aspect="equal", xlabel="right ascension (deg)", ylabel="declination (deg)")
+    axes.autoscale_view()
+    axes.invert_xaxis()
     return figure
 
 
