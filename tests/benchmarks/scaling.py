@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import polars as pl
+from matplotlib.ticker import LogLocator
 
 from survey_sim import tables
 from survey_sim.plotting import figure_style, new_figure
@@ -34,6 +35,12 @@ def main(folder: Path, *, with_workers: bool) -> None:
     """Measure, write and draw."""
     rows = pl.DataFrame(list(_rows(with_workers)))
     tables.write_bytes(rows.write_csv().encode(), folder / "scaling.csv")
+    draw(rows, folder / "scaling.png")
+    print(rows)
+
+
+def draw(rows: pl.DataFrame, file: Path) -> None:
+    """A panel for each quantity."""
     parts = rows.partition_by("what", maintain_order=True)
     with figure_style():
         figure = new_figure(3.0 * len(parts), 2.8)
@@ -42,9 +49,9 @@ def main(folder: Path, *, with_workers: bool) -> None:
             axes.set(xlabel=part["what"][0], ylabel=part["unit"][0], ylim=(part["cost"].min() / 3, part["cost"].max() * 3))
             axes.set_xticks(part["n"], [str(n) for n in part["n"]])
             axes.minorticks_off()
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter("{x:g}")
-        figure.savefig(folder / "scaling.png", dpi=130)
-    print(rows)
+        figure.savefig(file, dpi=130)
 
 
 def _rows(with_workers: bool) -> Iterator[dict[str, Any]]:
