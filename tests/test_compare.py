@@ -15,7 +15,7 @@ from survey_sim.plotting import RunTables
 from survey_sim.plotting.comparison import ComparisonTables
 from survey_sim.study_schema import STUDY_TABLES
 from survey_sim.survey.compare import compare_measures, compare_runs, read_runs, write_imprint
-from survey_sim.survey.comparison_page import text_of
+from survey_sim.survey.comparison_page import difference_text, text_of
 from survey_sim.survey.imprint import imprint_runs
 from survey_sim.survey.measures import measure_run, unit_of
 from tests.report_run import write_run
@@ -184,3 +184,11 @@ def test_the_imprint_of_one_run(tmp_path: Path) -> None:
 
 def test_units_stand_in_the_names() -> None:
     assert [unit_of(name) for name in ("wait_h", "within_readout_frac", "n_visit", "travel_mean_mm")] == ["h", "", "", "mm"]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [(0.455, 0.399, "+0.46 ± 0.40"), (-12.89, 10.08, "-13 ± 10"), (7.0, 0.0, "+7.00 ± 0"), (0.0, 0.0, "0 ± 0")],
+)
+def test_differences_have_the_digits_of_their_uncertainty(value: float, error: float, text: str) -> None:
+    assert difference_text(value, error) == text

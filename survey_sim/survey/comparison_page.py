@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ from survey_sim import __version__, tables
 from survey_sim.folders import data_folder
 from survey_sim.plotting.comparison import KEY_MEASURES, ComparisonTables, draw_comparison, words_of
 from survey_sim.survey.report import NOTHING, environment, html_figure
+
+_MOST_DECIMALS = 3
 
 
 @dataclass(frozen=True)
@@ -100,10 +103,18 @@ def _cell(row: dict[str, Any] | None, n_seed: int) -> Cell:
     mean = _number(scale * row["mean"]) + (f" in {row['n_seed']} of {n_seed}" if row["n_seed"] < n_seed else "")
     if row["scenario"] == row["reference"] or row["difference"] is None:
         return Cell(mean, "")
-    difference = _number(scale * row["difference"], sign="+")
-    if row["difference_high"] is not None:
-        difference += f" ± {_number(scale * (row['difference_high'] - row['difference']))}"
-    return Cell(mean, difference)
+    difference = scale * row["difference"]
+    if row["difference_high"] is None:
+        return Cell(mean, _number(difference, sign="+"))
+    return Cell(mean, difference_text(difference, scale * row["difference_high"] - difference))
+
+
+def difference_text(value: float, error: float) -> str:
+    """A difference and the half width of its interval: two digits of that, and as many decimals of the other."""
+    if error == 0.0:
+        return f"{_number(value, sign='+')} ± 0"
+    decimals = min(max(0, 1 - math.floor(math.log10(error))), _MOST_DECIMALS)
+    return f"{value:+,.{decimals}f} ± {error:,.{decimals}f}"
 
 
 def _number(value: float, sign: str = "") -> str:
