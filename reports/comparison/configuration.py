@@ -39,7 +39,7 @@ def draw(comparison: ComparisonTables) -> Figure:
 def _draw_readout(axes: Axes, readout_s: Any, longest_s: float) -> None:
     """The readout, or a remark if all visits are at rest before it ends."""
     if readout_s is not None and readout_s >= longest_s:
-        note(axes, f"all within the readout of {readout_s:g} s")
+        note(axes, f"all within the readout of {readout_s:g} s", where="lower right")
     elif readout_s is not None:
         axes.axvspan(0, readout_s, color=FAINT, alpha=0.5, linewidth=0, zorder=0)
 
