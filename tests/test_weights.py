@@ -9,6 +9,7 @@ from rich.console import Console
 from scipy.spatial.distance import pdist, squareform
 from typer.testing import CliRunner
 
+from survey_sim import tables
 from survey_sim.allocation import AllocationSettings, Realisations, start_allocation
 from survey_sim.cli import app
 from survey_sim.errors import InputError
@@ -137,6 +138,35 @@ def test_the_table_holds_every_science_target_and_is_the_same_again(run_dir: Pat
     assert path.read_bytes() == content
     again = {part: part.stat().st_mtime_ns for part in parts}
     assert [part for part in parts if again[part] != before[part]] == parts[:1]
+
+
+def test_realisations_of_pooled_tiles_are_as_complete_as_the_run(tmp_path: Path) -> None:
+    """Where calibration takes fibres, tiles make more visits than pooling planned: realisations do so too."""
+    changes = (
+        *(
+            "allocation.algorithm=plan",
+            "instrument.n_science=61",
+            "allocation.wanted_sky=15",
+            "allocation.wanted_standard=10",
+        ),
+        *("programme.bright.visits=4", "programme.bright.completeness_frac=0.8", "schedule.end_date=2016-10-01"),
+    )
+    run = open_run(write_small_survey(tmp_path), Workers(), tmp_path / "run", changes)
+    with run.locked():
+        run_stages(run, skipped=("schedule", "report"))
+    path, remarks = weigh_run(run.folder, 24, Workers(), Console(quiet=True))
+    assert "pooling" in remarks[-1]
+    reached = tables.scan(run.folder, "allocations").group_by("target_id").agg(n_visit=pl.len()).collect()
+    targets = tables.read(run.folder, "targets").select("target_id", "wanted_visits")
+    rows = pl.read_parquet(path).join(targets, on="target_id").join(reached, on="target_id", how="left")
+    is_done = pl.col("n_visit").fill_null(0) >= pl.col("wanted_visits")
+    is_never = pl.col("probability_frac") == 0.0
+    shares = rows.group_by("programme").agg(
+        more=(pl.col("probability_frac") - is_done).mean().abs(), unforeseen=(is_done & is_never).mean()
+    )
+    assert shares["programme"].n_unique() == 2
+    assert shares["more"].max() < 0.05
+    assert shares["unforeseen"].max() < 0.02
 
 
 def test_bad_requests_are_refused(run_dir: Path) -> None:

@@ -1,7 +1,7 @@
 """The imprint of the plate.
 
 Share of targets complete by place on their home plate, in squares of 15 mm; squares of fewer than 20 targets are left
-blank, programmes with too few squares left out.
+blank, programmes with too few squares left out. The first four scenarios.
 """
 
 from typing import Any

@@ -25,13 +25,16 @@ class Realisations:
     ----------
     targets, plate, settings
         As for `start_allocation`; a `sub_priority` of 0 counts as 1.
+    n_planned
+        `plan`: visits that a tile has at least, where visits were pooled among tiles.
     """
 
-    def __init__(self, targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> None:
+    def __init__(self, targets: FieldTargets, plate: Plate, settings: AllocationSettings, n_planned: int = 0) -> None:
         self._settings = settings.model_copy(update={"effort": EFFORT_FRAC * settings.effort})
         self._field = make_field(targets, plate, self._settings)
         self._worth = settings.sub_priority or 1.0
         self._plate = plate
+        self._n_planned = n_planned
         self._guides: PlannedGuides | None = None
 
     def draw(self, rng: np.random.Generator, n_done: IntArray) -> IntArray:
@@ -62,7 +65,7 @@ class Realisations:
         self._guides = self._guides or PlannedGuides(self._field, request, request.missing > 0)
         search = Search(field, request, state, self._guides)
         limit = settings.max_visits if settings.visits is None else min(settings.visits, settings.max_visits)
-        n_visit = limit if settings.visits is not None else min(limit, search.least_visits())
+        n_visit = limit if settings.visits is not None else min(limit, max(search.least_visits(), self._n_planned))
         nothing = np.full(len(search.item_target), -1, dtype=np.int64)
         n_visit, visit_of, _ = search.fill_enough(n_visit, nothing, limit)
         # As in a session, a visit that brings too little ends the tile.

@@ -164,13 +164,9 @@ def _visit_group(
     chosen, field = group
     park = _park(job.plate)
     rng = _stream(job, "allocation", number)
-    settings, is_planned = job.allocation, None
-    if job.plan is not None:
-        is_planned = planned_visits(field.target_id, job.plan, number)
-        field = _as_planned(field, rows.field.programme[chosen], is_planned, rows.n_done[chosen])
-        n_planned = is_planned.shape[1]
-        settings = settings.model_copy(update={"max_visits": n_planned + MOST_VISITS_MORE if n_planned else 0})
-    session = start_allocation(field, job.plate, settings, rng, rows.n_done[chosen], is_planned)
+    n_done = rows.n_done[chosen]
+    settings, field, is_planned = group_as_planned(job, number, field, rows.field.programme[chosen], n_done)
+    session = start_allocation(field, job.plate, settings, rng, n_done, is_planned)
     visit, home = session.next_visit(state.position_mm), None
     while visit is not None:
         start = park if visit.start == "park" else state
@@ -205,6 +201,25 @@ def planned_visits(
     is_known = (plan.group == group) & (plan.visit < n_visit) & np.isin(plan.row, target_id)
     is_planned[np.searchsorted(target_id, plan.row[is_known]), plan.visit[is_known]] = True
     return is_planned
+
+
+def group_as_planned(
+    job: TileJob, number: int, field: FieldTargets, programme: npt.NDArray[np.int64], n_done: npt.NDArray[np.int64]
+) -> tuple[AllocationSettings, FieldTargets, npt.NDArray[np.bool_] | None]:
+    """Settings, targets and plan of a group of visits: of a tile whose visits were not pooled as they are, without a plan.
+
+    Parameters
+    ----------
+    programme, n_done
+        (n_target,) of each target, also of fillers; visits received before.
+    """
+    if job.plan is None:
+        return job.allocation, field, None
+    is_planned = planned_visits(field.target_id, job.plan, number)
+    n_planned = is_planned.shape[1]
+    most = n_planned + MOST_VISITS_MORE if n_planned else 0
+    settings = job.allocation.model_copy(update={"max_visits": most})
+    return settings, _as_planned(field, programme, is_planned, n_done), is_planned
 
 
 def _as_planned(

@@ -7,17 +7,18 @@ tile by itself, with the home tiles, robots and settings of the run. Nights and 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 from rich.console import Console
 
 from survey_sim import tables
-from survey_sim.allocation import AllocationSettings, Realisations
+from survey_sim.allocation import FieldTargets, Realisations
 from survey_sim.errors import InputError
 from survey_sim.imprint import pack_bits
 from survey_sim.survey.batches import Batch
@@ -25,9 +26,10 @@ from survey_sim.survey.progress import tile_progress
 from survey_sim.survey.run import Run, code_digest
 from survey_sim.survey.settings import recorded_pipeline
 from survey_sim.survey.stages import make_batches
-from survey_sim.survey.tile import TileJob, field_of, magnitude_groups, stream
+from survey_sim.survey.tile import TileJob, field_of, group_as_planned, magnitude_groups, stream
 from survey_sim.survey.workers import Workers
 
+IntArray = npt.NDArray[np.int64]
 MOST_REALISATIONS = 4096
 
 
@@ -79,12 +81,7 @@ def realise_batch(batch: Batch, n_realisation: int) -> tuple[str, int, bytes]:
 def realise_tile(job: TileJob, n_realisation: int) -> pl.DataFrame:
     """Rows of `bitweights` of one tile."""
     field = field_of(job)
-    groups = list(magnitude_groups(field, job.allocation.mag_ranges))
-    tiles = [
-        (chosen, Realisations(group, job.plate, settings))
-        for number, (chosen, group) in enumerate(groups)
-        if (settings := _settings(job, number)) is not None
-    ]
+    tiles = list(_groups(job, field))
     is_complete = np.zeros((field.n_target, n_realisation), dtype=bool)
     for number in range(n_realisation):
         rng = stream(job.seed, "weights", job.survey, job.tile_id, number)
@@ -121,12 +118,14 @@ def _part(run: Run, batch: Batch, n_realisation: int) -> Path:
     return run.state / "weights" / f"{batch.name}-{digest[:32]}.parquet"
 
 
-def _settings(job: TileJob, group: int) -> AllocationSettings | None:
-    """Settings of a group of visits: as many as pooling gave the tile, if it did; None if none."""
-    if job.plan is None:
-        return job.allocation
-    n_visit = int(job.plan.visit[job.plan.group == group].max(initial=-1)) + 1
-    return job.allocation.model_copy(update={"visits": n_visit}) if n_visit else None
+def _groups(job: TileJob, field: FieldTargets) -> Iterator[tuple[IntArray, Realisations]]:
+    """Places of the targets of each group of visits, and its realisations: of about as many visits as in a run."""
+    nothing = np.zeros(field.n_target, dtype=np.int64)
+    for number, (chosen, group) in enumerate(magnitude_groups(field, job.allocation.mag_ranges)):
+        settings, targets, is_planned = group_as_planned(job, number, group, field.programme[chosen], nothing[chosen])
+        n_planned = 0 if is_planned is None else is_planned.shape[1]
+        if settings.max_visits:
+            yield chosen, Realisations(targets, job.plate, settings, n_planned)
 
 
 def _remarks(run: Run, surveys: Sequence[str], *, is_pooled: bool) -> list[str]:
