@@ -170,6 +170,7 @@ def _visit_tables(
                     **{f"n_{kind}": 3 for kind in KINDS},
                     "n_idle": 2,
                     **{f"{name}_shortfall": 0 for name in (*KINDS[1:], "sky_region")},
+                    "sky_shortfall": 2 * (visit % 2),
                     "completeness_frac": done,
                     "ideal_completeness_frac": min(1.0, done + 0.2),
                     "completeness_bound_frac": min(1.0, done + 0.1),

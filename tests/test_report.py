@@ -13,6 +13,7 @@ from astropy.visualization.wcsaxes import WCSAxes
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from survey_sim import tables
 from survey_sim.errors import InputError
 from survey_sim.folders import data_folder
 from survey_sim.plotting import RunTables, Script, figure_style, find_scripts, summarise
@@ -219,11 +220,23 @@ def test_numbers_are_those_of_the_tables(run_dir: Path) -> None:
     visits = pl.read_parquet(run_dir / "visits.parquet").filter(survey="taipan")
     assert taipan.configuration_median_s == visits["configuration_time_s"].median()
     assert taipan.bound_frac == (visits["configuration_time_s"] <= visits["lower_bound_s"]).mean()
+    assert (taipan.n_short_standard, taipan.n_short_sky_region, taipan.n_short_guide) == (0, 0, 0)
+    assert taipan.n_short_sky == len(visits) // 2  # every other visit of a tile lacks two
     # Configuration never outlasts a 60 s readout here; at 300 s it would by 240 s a pointing.
     assert taipan.waited_h == 0.0
     assert taipan.constant_waited_h == pytest.approx(taipan.n_pointing * 240 / 3600)
     assert summary.nights is not None
     assert summary.nights.unused_h == pytest.approx(5 * (28_000 - 8_000 - 2_400 - 300) / 3600)
+
+
+def test_short_visits_are_not_counted_where_nobody_knows(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run")
+    path = folder / "visits.parquet"
+    unknown = pl.read_parquet(path).with_columns(guide_shortfall=pl.lit(None, pl.Int32))
+    tables.write(unknown, "visits", path)
+    summary = summarise(RunTables(folder))
+    assert [survey.n_short_guide for survey in summary.surveys] == [None, None]
+    assert summary.surveys[0].n_short_sky is not None
 
 
 def test_ways_lead_from_start_to_end(run_dir: Path) -> None:

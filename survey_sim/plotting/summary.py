@@ -59,6 +59,8 @@ class SurveyNumbers:
     waited_h, constant_waited_h
         Time of all pointings spent on configuration alone, beyond slew and readout, which go on meanwhile; and what it would
         be at `CONSTANT_S` a pointing.
+    n_short_standard, n_short_sky, n_short_sky_region, n_short_guide
+        Visits with fewer fibres than the least acceptable, of each kind; None if that is not known.
     """
 
     name: str
@@ -87,6 +89,10 @@ class SurveyNumbers:
     n_collision: int
     n_unrouted: int
     least_separation_mm: float | None
+    n_short_standard: int | None
+    n_short_sky: int | None
+    n_short_sky_region: int | None
+    n_short_guide: int | None
 
 
 @dataclass(frozen=True)
@@ -196,7 +202,17 @@ def _survey(run: RunTables, survey: str) -> SurveyNumbers:
         n_collision=int(paths["collisions"].sum()),
         n_unrouted=int(paths["unrouted"].sum()),
         least_separation_mm=_number(paths["min_separation_mm"].min()),
+        n_short_standard=_n_short(visits, "standard"),
+        n_short_sky=_n_short(visits, "sky"),
+        n_short_sky_region=_n_short(visits, "sky_region"),
+        n_short_guide=_n_short(visits, "guide"),
     )
+
+
+def _n_short(visits: pl.DataFrame, kind: str) -> int | None:
+    """Visits that fall short of a minimum; None where nobody knows."""
+    short = visits[f"{kind}_shortfall"].drop_nulls()
+    return int((short > 0).sum()) if len(short) else None
 
 
 def _nights(run: RunTables) -> NightNumbers | None:
