@@ -6,9 +6,11 @@ import platform
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -19,7 +21,7 @@ from survey_sim.survey.engine import plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.stages import make_night_schedule
 from survey_sim.survey.transitions import are_parts_whole
-from survey_sim.survey.workers import Workers
+from survey_sim.survey.workers import Workers, memory_mib
 from tests.faults import COMMAND, cluster, table_bytes
 from tests.small_survey import write_small_survey
 
@@ -294,6 +296,20 @@ def test_what_workers_spend_is_counted_once() -> None:
     here = Workers()
     assert list(here.stream(abs, [-2, 3])) == [2, 3]
     assert (here.cpu_s, here.memory_mib) == (0.0, {})
+
+
+def test_tasks_are_made_when_they_are_wanted() -> None:
+    made = []
+    tasks = (made.append(n) or n for n in range(10))
+    assert next(Workers().stream(abs, tasks)) == 0
+    assert len(made) <= 2
+
+
+def test_the_memory_of_a_process_is_not_that_of_the_one_that_started_it() -> None:
+    ballast = np.ones(50_000_000)
+    told = "from survey_sim.survey.workers import memory_mib; print(memory_mib())"
+    own_mib = float(subprocess.run([sys.executable, "-c", told], check=True, capture_output=True).stdout)
+    assert 1.0 < own_mib < memory_mib() - ballast.nbytes / 2**21
 
 
 @pytest.mark.parametrize(
