@@ -85,17 +85,18 @@ def kill_at_write(pipeline: Path, out: Path, n_write: int, when: str) -> bool:
 
 
 def kill_at_random(command: list[str], pipeline: Path, out: Path, rng: random.Random, longest_s: float, *more: str) -> bool:
-    """Start it, and kill its whole process group some time later; whether it was still at work then."""
+    """Start it, and kill its whole process group when it has spent up to so much CPU time; whether it was still at work."""
     command = [*command, *run_arguments(pipeline, out, *(more or ("--serial",)))]
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE)
-    try:
-        _, message = process.communicate(timeout=rng.uniform(0.0, longest_s))
-    except subprocess.TimeoutExpired:
+    moment_s = rng.uniform(0.0, longest_s)
+    while process.poll() is None and sum(map(cpu_s, [process.pid, *children(process.pid)])) < moment_s:
+        time.sleep(0.05)
+    is_at_work = process.poll() is None
+    if is_at_work:
         os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        return True
-    assert process.returncode == 0, message.decode()
-    return False
+    _, message = process.communicate()
+    assert is_at_work or process.returncode == 0, message.decode()
+    return is_at_work
 
 
 def wait_for(condition, process: subprocess.Popen | None = None, timeout_s: float = 240.0) -> None:
@@ -110,14 +111,24 @@ def children(pid: int) -> list[int]:
     """Processes that a process started, and those that these started."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rpartition(")")[2].split()
-        except OSError:  # it ended meanwhile
-            continue
-        if int(fields[1]) == pid:
-            child = int(path.parent.name)
+        child = int(path.parent.name)
+        if (fields := _stat(child)) and int(fields[1]) == pid:
             found += [child, *children(child)]
     return found
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time that a process has spent; none if it ended."""
+    fields = _stat(pid)
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK") if fields else 0.0
+
+
+def _stat(pid: int) -> list[str]:
+    """What the system says of a process after its name; nothing if it ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
 
 
 def command_line(pid: int) -> str:

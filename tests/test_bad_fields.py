@@ -299,11 +299,10 @@ class TestRuns:
         self.refuse(command, run, tmp_path / "out", "run.json")
 
     @pytest.mark.parametrize("command", [name for name in OF_TABLES if name != "weights"])
-    @pytest.mark.parametrize("content", ["", "PAR1 and no more"])
-    def test_a_table_that_is_none(self, command: str, content: str, tmp_path: Path) -> None:
+    def test_a_table_that_is_none(self, command: str, tmp_path: Path) -> None:
         run = write_run(tmp_path / "run")
         path = run / ("targets.parquet" if command in {"compare", "imprint"} else "visits.parquet")
-        path.write_text(content)
+        path.write_text("PAR1 and no more")
         self.refuse(command, run, tmp_path / "out", path.name)
 
     @pytest.mark.parametrize("command", ["compare", "imprint", "view", "export of exchange files"])
@@ -319,7 +318,7 @@ def test_a_command_that_dies_while_it_writes_is_typed_again(
     n_write: int, field: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: F811
 ) -> None:  # fmt: skip
     whole, torn = (Path(shutil.copytree(field, tmp_path / name)) for name in ("whole", "torn"))
-    route_field([whole], router="traffic-light")
+    route_field([whole], router="coordinated")
     write, left = tables.write_bytes, n_write
 
     def write_some(content: bytes, path: Path, aside: Path | None = None) -> None:
@@ -332,10 +331,10 @@ def test_a_command_that_dies_while_it_writes_is_typed_again(
     with monkeypatch.context() as patch:
         patch.setattr(tables, "write_bytes", write_some)
         with pytest.raises(KeyboardInterrupt):
-            route_field([torn], router="traffic-light")
+            route_field([torn], router="coordinated")
     (torn / f".legs.parquet.1{tables.TEMPORARY}").write_text("half")
     refused(["view", torn, "--out", tmp_path / "page.html"], "gives no instrument")
-    route_field([torn], router="traffic-light")
+    route_field([torn], router="coordinated")
     assert {path.relative_to(torn) for path in torn.rglob("*")} == {path.relative_to(whole) for path in whole.rglob("*")}
     for path in (path for path in whole.rglob("*") if path.is_file() and path.name != "run.json"):
         assert (torn / path.relative_to(whole)).read_bytes() == path.read_bytes(), path
