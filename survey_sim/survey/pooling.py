@@ -19,7 +19,7 @@ from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pa
 IntArray = npt.NDArray[np.int64]
 
 # Tiles that a worker plans at a time, at most.
-_TILES_A_TASK = 16
+_TILES_A_TASK = 4
 # Columns of a plan; visits are counted in their group, a range of magnitudes.
 PLAN = {"survey": pl.String, "tile_id": pl.Int32, "group": pl.Int32, "visit": pl.Int32, "target_id": pl.Int64}
 

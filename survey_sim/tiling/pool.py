@@ -128,6 +128,10 @@ class Pool:
         self.colours = _colours(self.near)
         # Pairs whose target was waiting when the tile planned last: a tile plans again only if others wait now.
         self._was_offered = np.zeros(len(self.row), dtype=np.bool_)
+        self._n_target = self.count(np.arange(len(self.home)))
+        self._n_waiting = self.count(np.flatnonzero(~self.is_done))
+        n_wanted = np.bincount(self.programme, weights=self.wanted_visits, minlength=len(self.n_lost))
+        self._mean_visits = n_wanted / np.maximum(self._n_target, 1)
 
     @property
     def n_tile(self) -> int:
@@ -136,31 +140,21 @@ class Pool:
 
     def lack(self) -> int:
         """Fibres that the targets wanted but not planned would take, over all programmes; some more than wanted."""
-        n_target = np.bincount(self.programme, minlength=len(self.n_lost))
-        may_wait = np.maximum(self.n_lost - _BEYOND_FRAC * n_target, 0)
-        return int(np.ceil(np.maximum(self._n_waiting() - may_wait, 0) * self._mean_visits()).sum())
+        may_wait = np.maximum(self.n_lost - _BEYOND_FRAC * self._n_target, 0)
+        return int(np.ceil(np.maximum(self._n_waiting - may_wait, 0) * self._mean_visits).sum())
 
     def can_spare(self, lost: IntArray) -> bool:
         """Whether the survey can do without `lost` (n_programme,) of the targets planned.
 
         A programme that lacks targets although no visit more would help still gives up visits of less than `min_gain`.
         """
-        spare = self.n_lost - self._n_waiting()
-        n_fibre = lost * self._mean_visits()
+        spare = self.n_lost - self._n_waiting
+        n_fibre = lost * self._mean_visits
         return bool((lost <= np.maximum(spare, 0))[spare >= 0].all() and n_fibre[spare < 0].sum() < self.min_gain)
 
     def count(self, row: IntArray) -> IntArray:
         """(n_programme,) targets of each programme among these."""
         return np.bincount(self.programme[row], minlength=len(self.n_lost))
-
-    def _mean_visits(self) -> FloatArray:
-        """(n_programme,) visits that a target of each programme wants, on average."""
-        n = len(self.n_lost)
-        n_visit = np.bincount(self.programme, weights=self.wanted_visits, minlength=n)
-        return np.asarray(n_visit / np.maximum(np.bincount(self.programme, minlength=n), 1))
-
-    def _n_waiting(self) -> IntArray:
-        return np.bincount(self.programme[~self.is_done], minlength=len(self.n_lost))
 
     def by_colour(self, is_chosen: BoolArray) -> Iterator[list[int]]:
         """The chosen tiles, colour by colour: those of a colour share no target."""
@@ -181,8 +175,11 @@ class Pool:
 
     def accept(self, order: Order, planned: Planned) -> None:
         """Make a tile's new plan its plan."""
-        self.is_done[self.own(order.tile)] = False
-        self.is_done[planned.row] = True
+        own, done = self.own(order.tile), np.unique(planned.row)
+        self._n_waiting += self.count(own[self.is_done[own]])
+        self.is_done[own] = False
+        self._n_waiting -= self.count(done[~self.is_done[done]])
+        self.is_done[done] = True
         self.home[planned.row] = order.tile
         self.plans[order.tile] = planned
         self.n_visit[order.tile] = order.n_visit
@@ -201,7 +198,7 @@ class Pool:
 
         Only targets of programmes that lack some count.
         """
-        is_lacking = self._n_waiting() > self.n_lost - _BEYOND_FRAC * np.bincount(self.programme, minlength=len(self.n_lost))
+        is_lacking = self._n_waiting > self.n_lost - _BEYOND_FRAC * self._n_target
         pairs = np.flatnonzero(~self.is_done[self.row] & is_lacking[self.programme[self.row]])
         row, tile = self.row[pairs], self.tile[pairs]
         n_group = self.n_visit.shape[1]
