@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -11,6 +10,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 import typer.core
 
+from survey_sim import interrupts
 from survey_sim.cli_field import Change, Quiet, add_field_commands
 from survey_sim.errors import InputError
 
@@ -25,19 +25,9 @@ class Commands(typer.core.TyperGroup):
         """Run the command that was named."""
         try:
             return super().invoke(ctx)
-        except InputError as failure:
-            _fail(str(failure), BAD_INPUT)
-        except KeyboardInterrupt:
-            _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
-        except BrokenPipeError:
-            raise
-        except OSError as failure:
-            _fail(f"{failure.filename or 'system'}: {failure.strerror or failure}", BAD_INPUT)
         except BaseException as failure:
-            if not _is_of_damaged_table(failure):
-                raise
-            text = " ".join(str(failure).split())[:200]
-            _fail(f"a table cannot be read: {text}\n  remedy: run the pipeline again: it remakes what is damaged", BAD_INPUT)
+            _end_with_words(failure)
+            raise
 
 
 app = typer.Typer(
@@ -232,12 +222,21 @@ def _run_scenarios(
 
 def main() -> None:
     """Entry point."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    interrupts.listen()
     app()
 
 
-def _interrupt(signum: int, frame: Any) -> None:
-    raise KeyboardInterrupt
+def _end_with_words(failure: BaseException) -> None:
+    """End the process if it is known what went wrong. A library may have made anything of an interrupt."""
+    if isinstance(failure, KeyboardInterrupt) or interrupts.are_asked():
+        _fail("interrupted: finished tiles are kept, run the same command again to go on", INTERRUPTED)
+    if isinstance(failure, InputError):
+        _fail(str(failure), BAD_INPUT)
+    if isinstance(failure, OSError) and not isinstance(failure, BrokenPipeError):
+        _fail(f"{failure.filename or 'system'}: {failure.strerror or failure}", BAD_INPUT)
+    if _is_of_damaged_table(failure):
+        text = " ".join(str(failure).split())[:200]
+        _fail(f"a table cannot be read: {text}\n  remedy: run the pipeline again: it remakes what is damaged", BAD_INPUT)
 
 
 def _fail(message: str, code: int) -> NoReturn:

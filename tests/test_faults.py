@@ -99,6 +99,28 @@ class TestKilled:
         run_here(pipeline, copy)
         assert_same_run(copy, finished)
 
+    @pytest.mark.parametrize("then", ["pass", "raise SystemError('a result with an exception set') from None"])
+    def test_an_interrupt_that_a_library_swallows_or_changes_still_ends_the_run(
+        self, then: str, pipeline: Path, tmp_path: Path
+    ) -> None:
+        lossy = f"""
+import os, signal, time
+from survey_sim.survey import batches
+make = batches.run_batch
+def run_batch(batch):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+    except KeyboardInterrupt:
+        {then}
+    return make(batch)
+batches.run_batch = run_batch
+"""
+        command = [*BRIEF_COMMAND[:2], lossy + BRIEF_COMMAND[2], *run_arguments(pipeline, tmp_path / "run", "--serial")]
+        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 130
+        assert done.stderr.splitlines()[-1].startswith("error: interrupted: ")
+
     def test_interrupted_with_all_its_workers(self, pipeline: Path, finished: Path, tmp_path: Path) -> None:
         """Ctrl-C in a terminal reaches the whole process group."""
         out = tmp_path / "run"

@@ -19,6 +19,7 @@ from typing import Any
 from doit.dependency import DatabaseException, Dependency, SqliteDB
 from doit.task import Task, dict_to_task
 
+from survey_sim import interrupts
 from survey_sim.folders import data_folder
 from survey_sim.survey.run import Run
 from survey_sim.survey.store import Store
@@ -134,6 +135,7 @@ def run_stages(run: Run, store: Store | None = None, skipped: Collection[str] = 
     """
     try:
         for number, stage in enumerate(stage for stage in load_stages(run) if stage.name not in skipped):
+            interrupts.stop_if_asked()
             _bring_up_to_date(run, stage, store)
             if number == 0:
                 run.record_settings()

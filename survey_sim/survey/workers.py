@@ -20,6 +20,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from survey_sim import interrupts
 from survey_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,7 +71,9 @@ class Workers:
         first = list(islice(waiting, 2))
         waiting = chain(first, waiting)
         if not self.are_elsewhere or (self.scheduler is None and len(first) <= 1):
-            yield from map(function, waiting)
+            for task in waiting:
+                interrupts.stop_if_asked()
+                yield function(task)
             return
         from distributed import as_completed  # noqa: PLC0415
         from distributed.client import FutureCancelledError  # noqa: PLC0415
@@ -87,6 +90,7 @@ class Workers:
         for _ in range(AHEAD * max(1, len(client.scheduler_info()["workers"]))):
             submit_next()
         for future in futures:
+            interrupts.stop_if_asked()
             try:
                 result, spent = future.result()
             except (FutureCancelledError, CommClosedError):
