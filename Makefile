@@ -10,8 +10,8 @@ WORKERS ?=
 demo: $(VENV)/.installed  ## install, and run pipelines/demo.toml into runs/demo (the default)
 	$(BIN)/survey-sim run pipelines/demo.toml $(if $(WORKERS),--workers $(WORKERS))
 
-test: lint  ## install what the tests need, and run them
-	$(BIN)/pytest
+test: lint  ## install what the tests need, and run them: a process a core, each test file in one
+	$(BIN)/pytest --numprocesses logical --dist loadfile
 
 lint: $(VENV)/.dev  ## style, types and the rooms' import directions
 	$(BIN)/ruff check .

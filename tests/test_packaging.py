@@ -29,6 +29,7 @@ PACKAGE_OF = {
 COMPARED = {"pyrvo"}
 CALLED = {
     "ruff",
+    "pytest-xdist",
     "mypy",
     "import-linter",
     "scipy-stubs",
