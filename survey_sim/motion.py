@@ -5,10 +5,12 @@ y axis, at the coarse speed; the last `precise_mm` of the travel go at the preci
 of its four axes on the line, so at most 45 deg of turning, Goodwin et al. 2014 section 1.3) or without turning, x then y.
 """
 
+# mypy: disable-error-code="no-untyped-def"
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from survey_sim.instrument import Instrument
 
@@ -84,8 +86,8 @@ class Trajectories:
 
 def wrap_deg(angle_deg: FloatArray) -> FloatArray:
     """Angle in [-180, 180), deg."""
-    wrapped = np.mod(angle_deg + 180.0, 360.0) - 180.0
-    return np.where(wrapped >= 180.0, -180.0, wrapped)
+    wrapped: FloatArray = np.mod(angle_deg + 180.0, 360.0) - 180.0
+    return wrapped - 360.0 * (wrapped >= 180.0)  # rounding
 
 
 def turn_onto_line(theta_deg: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
@@ -140,24 +142,14 @@ def make_legs(
         (n_leg,), (n_leg,), (n_leg, 2), (n_leg,): whose leg, when it starts, where it ends, and whether the robot turns onto
         the line or goes x then y as it stands. Sorted by robot, then in the order of travel.
     """
-    robot = np.asarray(robot, dtype=np.int32)
-    n_leg = len(robot)
-    is_first = np.diff(robot, prepend=-1) != 0
-    first_row = np.flatnonzero(is_first)
-    leg = np.arange(n_leg) - np.repeat(first_row, np.diff(first_row, append=n_leg))
-    from_mm = np.where(is_first[:, None], start_mm[robot], np.roll(way_mm, 1, axis=0)) if n_leg else way_mm
-    step = way_mm - from_mm
-    rotate, theta = np.zeros(n_leg), np.zeros(n_leg)
-    now = start_theta_deg.astype(np.float64, copy=True)
-    for k in range(int(leg.max(initial=-1)) + 1):
-        rows = np.flatnonzero(leg == k)
-        turn = turn_onto_line(now[robot[rows]], step[rows, 0], step[rows, 1])
-        rotate[rows] = np.where(is_turned[rows], turn, 0.0)
-        theta[rows] = now[robot[rows]] = wrap_deg(now[robot[rows]] + rotate[rows])
-    dx, dy = _body_axes(step, theta, is_turned)
-    is_last = np.roll(is_first, -1)
-    precise = np.where(is_last, _approach(instrument, np.abs(dx) + np.abs(dy)), 0.0)
-    return Legs(robot, leg.astype(np.int16), start_s, rotate, dx, dy, precise, way_mm[:, 0], way_mm[:, 1], theta)
+    robot = np.ascontiguousarray(robot, dtype=np.int32)
+    way = np.ascontiguousarray(way_mm, dtype=np.float64)
+    leg, instruction, theta = _instructions(
+        np.ascontiguousarray(start_mm, dtype=np.float64), np.ascontiguousarray(start_theta_deg, dtype=np.float64),
+        robot, way, np.ascontiguousarray(is_turned, dtype=np.bool_), instrument.precise_approach_mm,
+    )  # fmt: skip
+    rotate, dx, dy, precise = instruction
+    return Legs(robot, leg, start_s, rotate, dx, dy, precise, way[:, 0].copy(), way[:, 1].copy(), theta)
 
 
 def make_trajectories(instrument: Instrument, start_mm: FloatArray, legs: Legs) -> Trajectories:
@@ -168,55 +160,77 @@ def make_trajectories(instrument: Instrument, start_mm: FloatArray, legs: Legs) 
     start_mm
         (n_robot, 2) mm, the positions at time 0.
     """
-    n_robot, n_leg = len(start_mm), len(legs)
     rotating, moving = leg_times_s(instrument, legs)
-    is_first = np.diff(legs.robot, prepend=-1) != 0
-    end = np.column_stack([legs.x_mm, legs.y_mm])
-    begin = np.where(is_first[:, None], start_mm[legs.robot], np.roll(end, 1, axis=0)) if n_leg else end
-    along_x, along_y = np.abs(legs.dx_mm), np.abs(legs.dy_mm)
-    length = along_x + along_y
-    slow_from = length - legs.precise_mm
-    breaks = np.sort(np.column_stack([along_x, slow_from]), axis=1)
-    t = np.empty((n_leg, KNOTS_PER_LEG))
-    t[:, 0], t[:, 1] = legs.start_s, legs.start_s + rotating
-    slow = np.maximum(breaks - slow_from[:, None], 0.0)
-    t[:, 2:4] = t[:, 1:2] + (breaks - slow) / instrument.coarse_speed_mm_s + slow / instrument.precise_speed_mm_s
-    t[:, 4] = t[:, 1] + moving
-    share_x = np.minimum(breaks, along_x[:, None]) * np.sign(legs.dx_mm)[:, None]
-    share_y = np.maximum(breaks - along_x[:, None], 0.0) * np.sign(legs.dy_mm)[:, None]
-    cosine, sine = np.cos(np.radians(legs.theta_deg))[:, None], np.sin(np.radians(legs.theta_deg))[:, None]
-    x, y = np.empty_like(t), np.empty_like(t)
-    x[:, :2], y[:, :2] = begin[:, :1], begin[:, 1:]
-    x[:, 2:4] = begin[:, :1] + cosine * share_x - sine * share_y
-    y[:, 2:4] = begin[:, 1:] + sine * share_x + cosine * share_y
-    x[:, 4], y[:, 4] = legs.x_mm, legs.y_mm
-    return _by_robot(n_robot, start_mm, legs.robot, t, x, y)
+    go_s = legs.start_s + rotating
+    knots = _knots(
+        np.ascontiguousarray(start_mm, dtype=np.float64), legs.robot, legs.start_s, go_s, go_s + moving,
+        legs.dx_mm, legs.dy_mm, legs.precise_mm, legs.x_mm, legs.y_mm, legs.theta_deg,
+        instrument.coarse_speed_mm_s, instrument.precise_speed_mm_s,
+    )  # fmt: skip
+    return Trajectories(*knots)
 
 
-def _by_robot(
-    n_robot: int, start_mm: FloatArray, robot: IntArray, t: FloatArray, x: FloatArray, y: FloatArray
-) -> Trajectories:
-    """Knots of legs, with one at time 0 before each robot's first."""
-    n_own = np.bincount(robot, minlength=n_robot) * KNOTS_PER_LEG + 1
-    first = np.concatenate([[0], np.cumsum(n_own)])
-    own_row = np.arange(len(robot)) - np.searchsorted(robot, robot)
-    knot = first[robot][:, None] + 1 + KNOTS_PER_LEG * own_row[:, None] + np.arange(KNOTS_PER_LEG)
-    out_t, out_x, out_y = np.zeros(first[-1]), np.empty(first[-1]), np.empty(first[-1])
-    out_x[first[:-1]], out_y[first[:-1]] = start_mm[:, 0], start_mm[:, 1]
-    out_t[knot], out_x[knot], out_y[knot] = t, x, y
-    return Trajectories(out_t, out_x, out_y, first)
+# The same, of single angles in kernels.
+_wrap = njit(cache=True)(wrap_deg)
+_turn = njit(cache=True)(turn_onto_line)
 
 
-def _body_axes(step: FloatArray, theta_deg: FloatArray, is_turned: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Steps in the robot's frame; a turned robot goes along the one axis that lies on the line."""
-    cosine, sine = np.cos(np.radians(theta_deg)), np.sin(np.radians(theta_deg))
-    dx = cosine * step[:, 0] + sine * step[:, 1]
-    dy = cosine * step[:, 1] - sine * step[:, 0]
-    length = np.hypot(step[:, 0], step[:, 1])
-    is_along_x = np.abs(dx) >= np.abs(dy)
-    dx_turned = np.where(is_along_x, np.copysign(length, dx), 0.0)
-    dy_turned = np.where(is_along_x, 0.0, np.copysign(length, dy))
-    return np.where(is_turned, dx_turned, dx), np.where(is_turned, dy_turned, dy)
+@njit(cache=True)
+def _instructions(start_xy, start_theta, robot, way, is_turned, approach):
+    """Of legs through way points: leg (n_leg,), (rotate_deg, dx_mm, dy_mm, precise_mm) (4, n_leg), theta_deg (n_leg,)."""
+    n_leg = len(robot)
+    leg, made, theta = np.zeros(n_leg, np.int16), np.zeros((4, n_leg)), np.empty(n_leg)
+    for k in range(n_leg):
+        r = robot[k]
+        is_next = k > 0 and robot[k - 1] == r
+        leg[k] = leg[k - 1] + 1 if is_next else 0
+        x, y = (way[k - 1, 0], way[k - 1, 1]) if is_next else (start_xy[r, 0], start_xy[r, 1])
+        before = theta[k - 1] if is_next else start_theta[r]
+        ux, uy = way[k, 0] - x, way[k, 1] - y
+        if is_turned[k]:
+            made[0, k] = _turn(before, ux, uy)
+        theta[k] = _wrap(before + made[0, k])
+        cosine, sine = np.cos(np.radians(theta[k])), np.sin(np.radians(theta[k]))
+        dx, dy = cosine * ux + sine * uy, cosine * uy - sine * ux
+        if is_turned[k]:  # along the one axis that lies on the line
+            length = np.hypot(ux, uy)
+            dx, dy = (np.copysign(length, dx), 0.0) if abs(dx) >= abs(dy) else (0.0, np.copysign(length, dy))
+        made[1, k], made[2, k] = dx, dy
+        if k == n_leg - 1 or robot[k + 1] != r:
+            made[3, k] = min(approach, abs(dx) + abs(dy))
+    return leg, made, theta
+
+
+@njit(cache=True)
+def _knots(start_xy, robot, turn_s, go_s, end_s, dx, dy, precise, end_x, end_y, theta, fast, slow):
+    """`Trajectories` of legs that turn, go and end at these times; `fast` and `slow` are the speeds, mm/s."""
+    n_robot, n_leg = len(start_xy), len(robot)
+    first = np.ones(n_robot + 1, np.int64)
+    first[0] = 0
+    for k in range(n_leg):
+        first[robot[k] + 1] += KNOTS_PER_LEG
+    for r in range(n_robot):
+        first[r + 1] += first[r]
+    t, x, y = np.zeros(first[n_robot]), np.empty(first[n_robot]), np.empty(first[n_robot])
+    for r in range(n_robot):
+        x[first[r]], y[first[r]] = start_xy[r, 0], start_xy[r, 1]
+    knot = 0
+    for k in range(n_leg):
+        knot = knot + KNOTS_PER_LEG if k > 0 and robot[k - 1] == robot[k] else first[robot[k]]
+        along_x, along_y = abs(dx[k]), abs(dy[k])
+        slow_from = along_x + along_y - precise[k]
+        cosine, sine = np.cos(np.radians(theta[k])), np.sin(np.radians(theta[k]))
+        t[knot + 1], x[knot + 1], y[knot + 1] = turn_s[k], x[knot], y[knot]
+        t[knot + 2], x[knot + 2], y[knot + 2] = go_s[k], x[knot], y[knot]
+        for n, way in enumerate((min(along_x, slow_from), max(along_x, slow_from))):
+            late = max(way - slow_from, 0.0)
+            own_x = np.copysign(min(way, along_x), dx[k])
+            own_y = np.copysign(max(way - along_x, 0.0), dy[k])
+            t[knot + 3 + n] = go_s[k] + (way - late) / fast + late / slow
+            x[knot + 3 + n] = x[knot] + cosine * own_x - sine * own_y
+            y[knot + 3 + n] = y[knot] + sine * own_x + cosine * own_y
+        t[knot + 5], x[knot + 5], y[knot + 5] = end_s[k], end_x[k], end_y[k]
+    return t, x, y, first
 
 
 def _approach(instrument: Instrument, length_mm: FloatArray) -> FloatArray:

@@ -1,5 +1,6 @@
 """Kernels of the allocation against plain loops."""
 
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from survey_sim.allocation import AllocationSettings, Field, FieldTargets, make_field, part_of_field
 from survey_sim.allocation.bound_kernels import clique_parts, cliques_by_pair, most_apart, windows_within
 from survey_sim.allocation.kernels import (
     crossings,
@@ -18,7 +20,9 @@ from survey_sim.allocation.kernels import (
     take_in_order,
 )
 from survey_sim.allocation.plan_kernels import cover, make_items
+from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
+from tests.mock_targets import survey_targets, uniform_xy
 
 seeds = st.integers(0, 2**32 - 1)
 no_deadline = settings(deadline=None)  # the first call of a kernel may compile it
@@ -216,3 +220,18 @@ def test_cover_finds_nearly_as_much_as_trying_all_visits_of_all_items(seed, n, n
     assert value[visit_of >= 0].sum() == best
     assert 0 <= most - best < value.max()
     assert may_be(visit_of)
+
+
+@pytest.mark.parametrize("dead", [[], [3, 40]])
+def test_part_of_a_field_is_what_the_part_makes(dead):
+    plate = make_plate(load_instrument("taipan-150"), dead)
+    targets, options = survey_targets(uniform_xy(300, 1), 2), AllocationSettings(priority_gain=0.2, sky_regions=3)
+    chosen = np.flatnonzero(np.random.default_rng(1).random(targets.n_target) < 0.4)
+    names = {column.name for column in fields(FieldTargets)} - {"programmes", "wanted_frac"}
+    part = replace(targets, **{name: getattr(targets, name)[chosen] for name in names})
+    found = part_of_field(make_field(targets, plate, AllocationSettings()), chosen, part, options)
+    made = make_field(part, plate, options)
+    assert len(made.near) > 0
+    for column in fields(Field):
+        value, wanted = getattr(found, column.name), getattr(made, column.name)
+        assert np.array_equal(value, wanted) if isinstance(wanted, np.ndarray) else value == wanted

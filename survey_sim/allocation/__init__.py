@@ -5,7 +5,7 @@ stand, and its `record` takes what the router could bring about.
 """
 
 from survey_sim.allocation.bound import completeness_bound
-from survey_sim.allocation.field import Field, VisitRequest, make_field
+from survey_sim.allocation.field import Field, VisitRequest, make_field, part_of_field
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels import crossings
 from survey_sim.allocation.minima import Minima
@@ -34,6 +34,7 @@ __all__ = [
     "ideal_completeness",
     "make_field",
     "match_again",
+    "part_of_field",
     "plan_visits",
     "start_allocation",
 ]

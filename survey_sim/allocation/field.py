@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.allocation.kernels import near_any, near_lists, nearest_squared, reach_lists
+from survey_sim.allocation.kernels import near_among, near_any, near_lists, nearest_squared, reach_lists
 from survey_sim.allocation.minima import Minima, sectors
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTargets, FloatArray, IntArray
@@ -121,23 +121,54 @@ class VisitRequest:
 
 def make_field(targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> Field:
     """Lists of neighbours and of robots in reach, and the worth of each target."""
-    xy = np.ascontiguousarray(np.column_stack([targets.x_mm, targets.y_mm]))
+    xy = _positions(targets)
     is_on_plate = targets.is_on_plate(plate.instrument.plate_radius_mm)
-    first, near = near_lists(targets.x_mm, targets.y_mm, plate.instrument.min_separation_mm)
-    reach = plate.patrol_radius_mm * np.where(plate.is_live, 1.0, np.nan)
-    reach_first, reach_robot = reach_lists(plate.park_mm, reach, plate.is_guide, xy, targets.kind == GUIDE, is_on_plate)
+    near = near_lists(targets.x_mm, targets.y_mm, plate.instrument.min_separation_mm)
+    reach_mm = plate.patrol_radius_mm * np.where(plate.is_live, 1.0, np.nan)
+    reach = reach_lists(plate.park_mm, reach_mm, plate.is_guide, xy, targets.kind == GUIDE, is_on_plate)
+    return _with_lists(targets, plate, settings, near, reach)
+
+
+def part_of_field(field: Field, chosen: IntArray, targets: FieldTargets, settings: AllocationSettings) -> Field:
+    """What `make_field` makes of some of the targets of a field, from its lists.
+
+    Parameters
+    ----------
+    chosen
+        (n,) their places in the field, ascending.
+    targets
+        They themselves, where they stood before; priority, programme and completeness wanted may be others.
+    """
+    near = near_among(chosen, field.targets.n_target, field.near_first, field.near)
+    n_own = np.diff(field.reach_first)[chosen]
+    first = np.concatenate([[0], np.cumsum(n_own)])
+    pair = np.arange(first[-1]) + np.repeat(field.reach_first[chosen] - first[:-1], n_own)
+    return _with_lists(targets, field.plate, settings, near, (first, field.reach_robot[pair]))
+
+
+def _positions(targets: FieldTargets) -> FloatArray:
+    return np.ascontiguousarray(np.column_stack([targets.x_mm, targets.y_mm]))
+
+
+def _with_lists(
+    targets: FieldTargets,
+    plate: Plate,
+    settings: AllocationSettings,
+    near: tuple[IntArray, npt.NDArray[np.int32]],
+    reach: tuple[IntArray, npt.NDArray[np.int32]],
+) -> Field:
     low, high = PRIORITY_RANGE
     return Field(
         targets=targets,
         plate=plate,
         settings=settings,
         minima=Minima.of(settings, plate),
-        xy_mm=xy,
-        is_on_plate=is_on_plate,
+        xy_mm=_positions(targets),
+        is_on_plate=targets.is_on_plate(plate.instrument.plate_radius_mm),
         value=1.0 + settings.priority_gain * (targets.priority - low) / (high - low),
         sector=np.where(targets.kind == SKY, sectors(targets.x_mm, targets.y_mm, settings.sky_regions), -1),
-        near_first=first,
-        near=near,
-        reach_first=reach_first,
-        reach_robot=reach_robot,
+        near_first=near[0],
+        near=near[1],
+        reach_first=reach[0],
+        reach_robot=reach[1],
     )

@@ -245,6 +245,7 @@ def start_allocation(
     rng: np.random.Generator,
     n_done: npt.ArrayLike | None = None,
     plan: BoolArray | None = None,
+    field: Field | None = None,
 ) -> Session:
     """Begin the visits of one tile.
 
@@ -254,8 +255,10 @@ def start_allocation(
         (n_target,) visits that each science target has received already (a tile that goes on); none by default.
     plan
         (n_target, n_visit) which targets are wanted in which visit, for `plan` to begin from.
+    field
+        The targets on the plate as `make_field` makes them with these settings, where they are at hand.
     """
-    field = make_field(targets, plate, settings)
+    field = field or make_field(targets, plate, settings)
     if settings.sub_priority:
         field = with_sub_priority(field, rng, settings.sub_priority)
     return Session(field, rng, n_done, plan)
@@ -294,7 +297,10 @@ def _in_reach_of_any(field: Field) -> BoolArray:
     """(n_target,) targets on the plate in the patrol disc of a robot of their kind, dead or live."""
     plate = field.plate
     is_for_guide = field.targets.kind == TARGET_KINDS.index("guide")
+    is_reached = np.diff(field.reach_first) > 0
+    if plate.is_live.all():
+        return np.asarray(is_reached)
     first, _ = reach_lists(
-        plate.park_mm, plate.patrol_radius_mm, plate.is_guide, field.xy_mm, is_for_guide, field.is_on_plate
+        plate.park_mm, plate.patrol_radius_mm, plate.is_guide, field.xy_mm, is_for_guide, field.is_on_plate & ~is_reached
     )  # fmt: skip
-    return np.diff(first) > 0
+    return np.asarray(is_reached | (np.diff(first) > 0))

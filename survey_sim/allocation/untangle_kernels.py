@@ -249,6 +249,26 @@ def _find_spare(i, cost, own_pair, reach_first, reach_robot, is_usable, near_fir
 
 
 @njit(cache=True)
+def _pair_of(r, t, reach_first, reach_robot):
+    """The pair of a robot and a target that it reaches."""
+    for p in range(reach_first[t], reach_first[t + 1]):
+        if reach_robot[p] == r:
+            return p
+    return -1
+
+
+@njit(cache=True)
+def _price(t, start_xy, park_xy, xy, half_power, park_pull, reach_first, reach_robot, longest, cost, is_usable):
+    """Fill in what a target costs each robot that reaches it, and bar ways beyond the longest."""
+    for p in range(reach_first[t], reach_first[t + 1]):
+        r = reach_robot[p]
+        d0 = np.hypot(xy[t, 0] - start_xy[r, 0], xy[t, 1] - start_xy[r, 1])
+        d1 = np.hypot(xy[t, 0] - park_xy[r, 0], xy[t, 1] - park_xy[r, 1])
+        cost[p] = d0 ** (2.0 * half_power) + park_pull * d1 ** (2.0 * half_power)
+        is_usable[p] = is_usable[p] and d0 <= longest[0] and d1 <= longest[1]
+
+
+@njit(cache=True)
 def untangle(
     start_xy, park_xy, is_live, xy, half_power, park_pull, reach_first, reach_robot, is_pair_open,
     near_first, near, spare_target, radius, held,
@@ -289,15 +309,14 @@ def untangle(
         return at_first, at_first
     holder, own_pair = np.full(len(xy), -1, np.int64), np.full(n_robot, -1, np.int64)
     cost, is_usable = np.empty(len(reach_robot)), is_pair_open.copy()
-    for t in range(len(xy)):
-        for p in range(reach_first[t], reach_first[t + 1]):
-            r = reach_robot[p]
-            d0 = np.hypot(xy[t, 0] - start_xy[r, 0], xy[t, 1] - start_xy[r, 1])
-            d1 = np.hypot(xy[t, 0] - park_xy[r, 0], xy[t, 1] - park_xy[r, 1])
-            cost[p] = d0 ** (2.0 * half_power) + park_pull * d1 ** (2.0 * half_power)
-            is_usable[p] = is_usable[p] and d0 <= ways.longest[0] and d1 <= ways.longest[1]
-            if held[r] == t:
-                own_pair[r], holder[t] = p, r
+    # No other target changes hands.
+    for t in np.concatenate((held[held >= 0], spare_target)):
+        _price(
+            t, start_xy, park_xy, xy, half_power, park_pull, reach_first, reach_robot, ways.longest, cost, is_usable
+        )  # fmt: skip
+    for r in range(n_robot):
+        if held[r] >= 0:
+            holder[held[r]], own_pair[r] = r, _pair_of(r, held[r], reach_first, reach_robot)
     travel = cost.copy()
     worth = TANGLE_WORTH * (ways.longest[0] ** (2.0 * half_power) + park_pull * ways.longest[1] ** (2.0 * half_power))
     gain, via = np.empty((N_LEVEL, n_robot)), np.empty((N_LEVEL, n_robot), np.int64)
@@ -341,10 +360,7 @@ def untangle(
             t = held[r]
             own_pair[r] = -1
             if t >= 0:
-                holder[t] = r
-                for p in range(reach_first[t], reach_first[t + 1]):
-                    if reach_robot[p] == r:
-                        own_pair[r] = p
+                holder[t], own_pair[r] = r, _pair_of(r, t, reach_first, reach_robot)
                 state += travel[own_pair[r]]
             x, y = xy[t] if t >= 0 else start_xy[r]
             _add(ways, r, x, y, t >= 0)

@@ -60,28 +60,24 @@ def simulate(plate: Plate, start_mm: FloatArray, start_theta_deg: FloatArray, le
     legs
         Sorted by (robot, leg).
     """
-    n = plate.n_robot
     rotating, moving = leg_times_s(plate.instrument, legs)
-    rotating_s: FloatArray = np.bincount(legs.robot, rotating, n).astype(np.float64)
-    moving_s: FloatArray = np.bincount(legs.robot, moving, n).astype(np.float64)
+    own_s = _own_times(plate.n_robot, legs.robot, legs.start_s, rotating, moving)
     last = np.flatnonzero(np.diff(legs.robot, append=-1) != 0)
     mover = legs.robot[last]
     end_mm, end_theta = np.array(start_mm, dtype=np.float64), np.array(start_theta_deg, dtype=np.float64)
-    end_mm[mover] = np.column_stack([legs.x_mm[last], legs.y_mm[last]])
+    end_mm[mover, 0], end_mm[mover, 1] = legs.x_mm[last], legs.y_mm[last]
     end_theta[mover] = legs.theta_deg[last]
-    arrival_s = (legs.start_s + rotating + moving)[last]
-    waiting_s = np.zeros(n)
-    waiting_s[mover] = np.maximum(arrival_s - rotating_s[mover] - moving_s[mover], 0.0)
+    arrival_s = np.sort((legs.start_s + rotating + moving)[last])
     collisions, least = separations(plate, start_mm, legs, plate.instrument.min_separation_mm - SEPARATION_TOLERANCE_MM)
     return SimulatedPath(
-        rotating_s=rotating_s,
-        moving_s=moving_s,
-        waiting_s=waiting_s,
+        rotating_s=own_s[0],
+        moving_s=own_s[1],
+        waiting_s=own_s[2],
         end_mm=end_mm,
         end_theta_deg=end_theta,
         configuration_time_s=float(arrival_s.max(initial=0.0)),
         configuration_time_p95_s=_when_at_rest(arrival_s, FILTERED_SHARE),
-        configuration_time_median_s=float(np.median(arrival_s)) if len(arrival_s) else 0.0,
+        configuration_time_median_s=_median(arrival_s),
         ticks=len(np.unique(legs.start_s)),
         collisions=collisions,
         min_separation_mm=least,
@@ -95,11 +91,30 @@ def separations(plate: Plate, start_mm: FloatArray, legs: Legs, limit_mm: float)
 
 
 def _when_at_rest(arrival_s: FloatArray, share: float) -> float:
-    """When `share` of the movers, rounded up to a robot, have arrived; 0 if nobody moves."""
+    """When `share` of the movers, rounded up to a robot, have arrived (times ascend); 0 if nobody moves."""
     if len(arrival_s) == 0:
         return 0.0
     n_needed = int(np.ceil(share * len(arrival_s) - 1e-9))
-    return float(np.sort(arrival_s)[max(n_needed, 1) - 1])
+    return float(arrival_s[max(n_needed, 1) - 1])
+
+
+def _median(ascending: FloatArray) -> float:
+    """Median of times that ascend; 0 if there are none."""
+    n = len(ascending)
+    return float((ascending[(n - 1) // 2] + ascending[n // 2]) / 2.0) if n else 0.0
+
+
+@njit(cache=True)
+def _own_times(n_robot, robot, start_s, rotating_s, moving_s):
+    """(3, n_robot) seconds that each robot turns, travels and waits until it comes to rest."""
+    own_s = np.zeros((3, n_robot))
+    for k in range(len(robot)):
+        r = robot[k]
+        own_s[0, r] += rotating_s[k]
+        own_s[1, r] += moving_s[k]
+        rest_s = start_s[k] + rotating_s[k] + moving_s[k]
+        own_s[2, r] = max(0.0, rest_s - own_s[0, r] - own_s[1, r])
+    return own_s
 
 
 @njit(cache=True)

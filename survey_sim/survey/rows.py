@@ -152,6 +152,11 @@ class TileRows:
         is_science = self.field.is_science
         return float(self.is_complete.sum() / is_science.sum()) if is_science.any() else 1.0
 
+    @cached_property
+    def lists(self) -> Field:
+        """Who is near whom and who reaches what, of all targets."""
+        return make_field(self.field, self.plate, AllocationSettings.load({}))
+
     def add_path(self, path: str, made: PlayedPath) -> None:
         """A path of the visit that comes next: `paths`, `legs`, `robot_times`."""
         keys = {**self._keys(self.n_visit), "path": path}
@@ -270,12 +275,7 @@ class TileRows:
         """Upper bound of completeness for any allocation after as many visits; NaN if it is not wanted."""
         if self._bound == "none":
             return np.nan
-        return completeness_bound(self.field, self.plate, self.n_visit, method=self._bound, field=self._lists)
-
-    @cached_property
-    def _lists(self) -> Field:
-        """Who is near whom and who reaches what, for all bounds."""
-        return make_field(self.field, self.plate, AllocationSettings.load({}))
+        return completeness_bound(self.field, self.plate, self.n_visit, method=self._bound, field=self.lists)
 
 
 def _travel(travel_mm: FloatArray) -> dict[str, float]:

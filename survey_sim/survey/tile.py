@@ -10,7 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from survey_sim.allocation import AllocationSettings, FieldTargets, Minima, Session, VisitAllocation, start_allocation
+from survey_sim.allocation import (
+    AllocationSettings,
+    FieldTargets,
+    Minima,
+    Session,
+    VisitAllocation,
+    part_of_field,
+    start_allocation,
+)
 from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
@@ -166,7 +174,8 @@ def _visit_group(
     rng = _stream(job, "allocation", number)
     n_done = rows.n_done[chosen]
     settings, field, is_planned = group_as_planned(job, number, field, rows.field.programme[chosen], n_done)
-    session = start_allocation(field, job.plate, settings, rng, n_done, is_planned)
+    lists = part_of_field(rows.lists, chosen, field, settings)
+    session = start_allocation(field, job.plate, settings, rng, n_done, is_planned, lists)
     visit, home = session.next_visit(state.position_mm), None
     while visit is not None:
         start = park if visit.start == "park" else state
