@@ -6,14 +6,12 @@ assignment holds two targets of different groups too close to each other, the gr
 otherwise the search branches on one of the two: without it, or without all that are near it. Every relaxed cost is a lower
 bound.
 
-State of the relaxed problem, as flat arrays: `u` (n_robot,) and `v` (n_target,) duals of robots and groups (v <= 0, and 0
-for a group without a robot); `pair` (n_robot,) index of the pair held, `IDLE` or `FREE` (not yet solved); `holder`
-(n_target,) robot of each group or -1; `group` (n_target,) the group of each target; `ring` (n_target,) next member of the
-group, in a ring; `shut` (n_target,) targets left out.
+Both sides search: a robot looks for a target, or a group that has lost its robot for another one.
 """
 
-# ruff: noqa: PLR0912, PLR0915
 # mypy: allow-untyped-defs
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,9 +24,353 @@ COST_TOLERANCE = 1e-8
 ROUNDING = 1e-9
 
 
+class Pairs(NamedTuple):
+    """The problem: who may hold what, at what cost; q robots, n targets, m pairs.
+
+    idle_cost: of a robot without a target; own_first (q + 1,), own_pair (m,): pairs of each robot; first (n + 1,), robot
+    (m,): those of each target; target (m,); cost (m,) >= 0; near_first, near: targets too close to each target; xy (n, 2)
+    and separation, mm.
+    """
+
+    idle_cost: float
+    own_first: np.ndarray
+    own_pair: np.ndarray
+    first: np.ndarray
+    robot: np.ndarray
+    target: np.ndarray
+    cost: np.ndarray
+    near_first: np.ndarray
+    near: np.ndarray
+    xy: np.ndarray
+    separation: float
+
+
+class Matched(NamedTuple):
+    """A solution of the relaxed problem.
+
+    u (q,), v (n,): duals of robots and groups (v <= 0, and 0 for a group without a robot); pair (q,): the pair held, `IDLE`
+    or `FREE` (not yet solved); holder (n,): robot of each group or -1; group (n,): the group of each target; ring (n,): next
+    member of the group, in a ring; shut (n,): targets left out.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    pair: np.ndarray
+    holder: np.ndarray
+    group: np.ndarray
+    ring: np.ndarray
+    shut: np.ndarray
+
+
+class Tree(NamedTuple):
+    """Room for one search: of groups seen from a robot, or of robots seen from a group.
+
+    label (max(q, n),): distance of what has been seen, inf on entry and on return; by_pair: pair over which it is reached;
+    seen (q,), is_done (q,): what has a label, in the order found, and whether that is final; via (q,): robot before it;
+    passed, at (q,): robots passed and their distances.
+    """
+
+    label: np.ndarray
+    by_pair: np.ndarray
+    seen: np.ndarray
+    is_done: np.ndarray
+    via: np.ndarray
+    passed: np.ndarray
+    at: np.ndarray
+
+
 @njit(cache=True)
-def _pairs_by_robot(n_robot, reach_robot, cost):
-    """Pairs of each robot, cheapest first: (first (n_robot + 1,), pair (n_pair,))."""
+def _tree(n_robot, n_target):
+    n = max(n_robot, n_target)
+    return Tree(
+        np.full(n, np.inf), np.empty(n, np.int64), np.empty(n_robot, np.int64), np.empty(n_robot, np.bool_),
+        np.empty(n_robot, np.int64), np.empty(n_robot, np.int64), np.empty(n_robot),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _nearest(tree, n_seen, limit):
+    """Place in `seen` of what is nearest, nearer than the limit, and not done; -1 if there is none."""
+    where = -1
+    for k in range(n_seen):
+        if not tree.is_done[k] and tree.label[tree.seen[k]] < limit:
+            limit, where = tree.label[tree.seen[k]], k
+    return where
+
+
+@njit(cache=True)
+def _search_groups(robot, pairs, now, tree):
+    """Shortest alternating path from a free robot to a free group, or to a robot that goes idle.
+
+    Returns
+    -------
+        Its length, its last robot and that one's new pair (or `IDLE`), and numbers of robots passed and groups seen.
+    """
+    n_seen = n_passed = 0
+    best, end_robot, end_pair = np.inf, -1, IDLE
+    r, distance = robot, 0.0
+    while True:
+        tree.passed[n_passed], tree.at[n_passed] = r, distance
+        n_passed += 1
+        if distance + pairs.idle_cost - now.u[r] < best:
+            best, end_robot, end_pair = distance + pairs.idle_cost - now.u[r], r, IDLE
+        for k in range(pairs.own_first[r], pairs.own_first[r + 1]):
+            p = pairs.own_pair[k]
+            d = distance + pairs.cost[p] - now.u[r]
+            if d >= best or now.shut[pairs.target[p]]:
+                continue
+            g = now.group[pairs.target[p]]
+            d -= now.v[g]
+            if d >= tree.label[g] - ROUNDING or d >= best:
+                continue
+            if now.holder[g] < 0:
+                best, end_robot, end_pair = d, r, p
+                continue
+            if tree.label[g] == np.inf:
+                tree.seen[n_seen], tree.is_done[n_seen] = g, False
+                n_seen += 1
+            tree.label[g], tree.by_pair[g], tree.via[now.holder[g]] = d, p, r
+        where = _nearest(tree, n_seen, best)
+        if where < 0:
+            return best, end_robot, end_pair, n_passed, n_seen
+        tree.is_done[where] = True
+        r, distance = now.holder[tree.seen[where]], tree.label[tree.seen[where]]
+
+
+@njit(cache=True)
+def _assign(robot, pairs, now, tree):
+    """Bring one free robot into the assignment by a shortest augmenting path."""
+    best, r, new, n_passed, n_seen = _search_groups(robot, pairs, now, tree)
+    for k in range(n_passed):
+        now.u[tree.passed[k]] += best - tree.at[k]
+    for k in range(n_seen):
+        g = tree.seen[k]
+        if tree.is_done[k]:
+            now.v[g] -= best - tree.label[g]
+        tree.label[g] = np.inf
+    while True:
+        old = now.pair[r]
+        now.pair[r] = new
+        if new >= 0:
+            now.holder[now.group[pairs.target[new]]] = r
+        if r == robot:
+            return
+        new = tree.by_pair[now.group[pairs.target[old]]]
+        r = tree.via[r]
+
+
+@njit(cache=True)
+def _see_robots(g, distance, best, n_seen, pairs, now, tree):
+    """Label the robots that reach a group's targets; how many have been seen now."""
+    t = g
+    while True:
+        for p in range(pairs.first[t], pairs.first[t + 1] if not now.shut[t] else pairs.first[t]):
+            r = pairs.robot[p]
+            d = distance + pairs.cost[p] - now.u[r] - now.v[g]
+            if now.pair[r] != FREE and d < best and d < tree.label[r] - ROUNDING:
+                if tree.label[r] == np.inf:
+                    tree.seen[n_seen], tree.is_done[n_seen] = r, False
+                    n_seen += 1
+                tree.label[r], tree.by_pair[r] = d, p
+        t = now.ring[t]
+        if t == g:
+            return n_seen
+
+
+@njit(cache=True)
+def _search_robots(freed, pairs, now, tree):
+    """Shortest alternating path from a group without a robot to an idle robot, or to a group that is left for nothing.
+
+    Returns
+    -------
+        Its length, its last robot (-1: the group had best stay free), and number of robots seen.
+    """
+    n_seen = 0
+    best, end_robot = -now.v[freed], -1
+    g, distance = freed, 0.0
+    while True:
+        n_seen = _see_robots(g, distance, best, n_seen, pairs, now, tree)
+        where = _nearest(tree, n_seen, best)
+        if where < 0:
+            return best, end_robot, n_seen
+        tree.is_done[where] = True
+        r, distance = tree.seen[where], tree.label[tree.seen[where]]
+        if now.pair[r] == IDLE:
+            return distance, r, n_seen
+        g = now.group[pairs.target[now.pair[r]]]
+        if distance - now.v[g] < best:
+            best, end_robot = distance - now.v[g], r
+
+
+@njit(cache=True)
+def _release(freed, pairs, now, tree):
+    """Bring the dual of a group that has lost its robot back to 0, moving robots into it where that is cheaper."""
+    best, r, n_seen = _search_robots(freed, pairs, now, tree)
+    now.v[freed] += best
+    for k in range(n_seen):
+        q = tree.seen[k]
+        if tree.is_done[k] and tree.label[q] < best:
+            now.u[q] -= best - tree.label[q]
+            if now.pair[q] >= 0:
+                now.v[now.group[pairs.target[now.pair[q]]]] += best - tree.label[q]
+        tree.label[q] = np.inf
+    if r < 0:
+        now.v[freed] = 0.0
+        return
+    if now.pair[r] >= 0:
+        left = now.group[pairs.target[now.pair[r]]]
+        now.holder[left] = -1
+        now.v[left] = 0.0
+    while True:
+        now.pair[r] = tree.by_pair[r]
+        g = now.group[pairs.target[tree.by_pair[r]]]
+        r, now.holder[g] = now.holder[g], r
+        if g == freed:
+            return
+
+
+@njit(cache=True)
+def _shut_out(t, is_near, pairs, now, tree):
+    """Leave out one target, or (if `is_near`) all that are near it, and mend the assignment."""
+    out = pairs.near[pairs.near_first[t] : pairs.near_first[t + 1]] if is_near else np.full(1, t, np.int32)
+    freed_robot = np.empty(len(out), np.int64)
+    freed_group = np.empty(len(out), np.int64)
+    n = 0
+    for x in out:
+        if now.shut[x]:
+            continue
+        now.shut[x] = True
+        r = now.holder[now.group[x]]
+        if r >= 0 and pairs.target[now.pair[r]] == x:
+            now.pair[r] = FREE
+            now.u[r] = 0.0
+            now.holder[now.group[x]] = -1
+            freed_robot[n], freed_group[n] = r, now.group[x]
+            n += 1
+    for k in range(n):
+        _release(freed_group[k], pairs, now, tree)
+    for k in range(n):
+        _assign(freed_robot[k], pairs, now, tree)
+
+
+@njit(cache=True)
+def _held_near(r, pairs, now):
+    """First target held too close to that of robot r, and how many are."""
+    first, n = -1, 0
+    if now.pair[r] >= 0:
+        t = pairs.target[now.pair[r]]
+        for k in range(pairs.near_first[t], pairs.near_first[t + 1]):
+            q = now.holder[now.group[pairs.near[k]]]
+            if q >= 0 and pairs.target[now.pair[q]] == pairs.near[k]:
+                n += 1
+                if first < 0:
+                    first = pairs.near[k]
+    return first, n
+
+
+@njit(cache=True)
+def _is_clique(a, b, pairs, now):
+    """Whether two groups are one clique."""
+    s = a
+    while True:
+        t = b
+        while True:
+            dx, dy = pairs.xy[s, 0] - pairs.xy[t, 0], pairs.xy[s, 1] - pairs.xy[t, 1]
+            if dx * dx + dy * dy >= pairs.separation * pairs.separation:
+                return False
+            t = now.ring[t]
+            if t == b:
+                break
+        s = now.ring[s]
+        if s == a:
+            return True
+
+
+@njit(cache=True)
+def _merge(a, b, now):
+    """Make one group of two that have robots; gives the robot that is freed by it."""
+    if now.v[b] < now.v[a]:
+        a, b = b, a
+    q = now.holder[b]
+    now.holder[b] = -1
+    now.v[b] = 0.0
+    t = b
+    while True:
+        now.group[t] = a
+        t = now.ring[t]
+        if t == b:
+            break
+    now.ring[a], now.ring[b] = now.ring[b], now.ring[a]
+    now.pair[q] = FREE
+    now.u[q] = 0.0
+    return q
+
+
+@njit(cache=True)
+def _settle(pairs, now, tree):
+    """Merge groups until no two held targets that could be of one clique are too close; the target to branch on, or -1."""
+    while True:
+        branch, most, has_merged = -1, 0, False
+        for r in range(len(now.pair)):
+            other, n = _held_near(r, pairs, now)
+            if n == 0:
+                continue
+            a, b = now.group[pairs.target[now.pair[r]]], now.group[other]
+            if _is_clique(a, b, pairs, now):
+                _assign(_merge(a, b, now), pairs, now, tree)
+                has_merged = True
+            elif n > most:
+                branch, most = pairs.target[now.pair[r]], n
+        if not has_merged:
+            return branch
+
+
+@njit(cache=True)
+def _total(pairs, now):
+    total = 0.0
+    for p in now.pair:
+        total += pairs.idle_cost if p < 0 else pairs.cost[p]
+    return total
+
+
+@njit(cache=True)
+def _copy(now):
+    return Matched(
+        now.u.copy(), now.v.copy(), now.pair.copy(), now.holder.copy(), now.group.copy(), now.ring.copy(), now.shut.copy()
+    )
+
+
+@njit(cache=True)
+def _relaxed(n_robot, n_target, pairs, tree):
+    """The cheapest assignment, each target a group of its own."""
+    now = Matched(
+        np.full(n_robot, pairs.idle_cost), np.zeros(n_target), np.full(n_robot, IDLE, np.int64),
+        np.full(n_target, -1, np.int64), np.arange(n_target), np.arange(n_target), np.zeros(n_target, np.bool_),
+    )  # fmt: skip
+    if n_target > n_robot:
+        has_pair = np.flatnonzero(pairs.own_first[1:] > pairs.own_first[:-1])
+        now.u[has_pair], now.pair[has_pair] = 0.0, FREE
+        for r in has_pair:
+            _assign(r, pairs, now, tree)
+        return now
+    # Robots are to spare: seen from a target, one that is idle is never far.
+    for p in range(len(pairs.cost)):
+        now.v[pairs.target[p]] = min(now.v[pairs.target[p]], pairs.cost[p] - pairs.idle_cost)
+    for t in range(n_target):
+        _release(t, pairs, now, tree)
+    return now
+
+
+@njit(cache=True)
+def _travel_cost(ax, ay, bx, by, half_power):
+    """Distance^P; quick at the usual P = 4."""
+    d2 = (ax - bx) ** 2 + (ay - by) ** 2
+    return d2 * d2 if half_power == 2.0 else d2**half_power
+
+
+@njit(cache=True)
+def _pairs_by_robot(n_robot, reach_robot):
+    """Pairs of each robot: (first (n_robot + 1,), pair (n_pair,))."""
     first = np.zeros(n_robot + 1, np.int64)
     for r in reach_robot:
         first[r + 1] += 1
@@ -39,253 +381,7 @@ def _pairs_by_robot(n_robot, reach_robot, cost):
     for p in range(len(reach_robot)):
         pair[filled[reach_robot[p]]] = p
         filled[reach_robot[p]] += 1
-    for r in range(n_robot):
-        own = pair[first[r] : first[r + 1]]
-        own[:] = own[np.argsort(cost[own])]
     return first, pair
-
-
-@njit(cache=True)
-def _assign(robot, idle_cost, own_first, own_pair, pair_target, cost, u, v, pair, holder, group, shut, label, by_pair):
-    """Bring one free robot into the assignment by a shortest augmenting path; `label` is inf on entry and on return."""
-    n_robot = len(u)
-    via_robot = np.empty(n_robot, np.int64)
-    column = np.empty(n_robot, np.int64)
-    is_done = np.zeros(n_robot, np.bool_)
-    scanned = np.empty(n_robot, np.int64)
-    at = np.empty(n_robot)
-    n_column = n_scanned = 0
-    best, end_group, end_robot = np.inf, -1, -1
-    r, distance = robot, 0.0
-    while True:
-        scanned[n_scanned], at[n_scanned] = r, distance
-        n_scanned += 1
-        if distance + idle_cost - u[r] < best:
-            best, end_group, end_robot = distance + idle_cost - u[r], -1, r
-        for k in range(own_first[r], own_first[r + 1]):
-            p = own_pair[k]
-            if distance + cost[p] - u[r] >= best:
-                break
-            if shut[pair_target[p]]:
-                continue
-            g = group[pair_target[p]]
-            d = distance + cost[p] - u[r] - v[g]
-            if d >= label[g] - ROUNDING or d >= best:
-                continue
-            if holder[g] < 0:
-                best, end_group = d, g
-                end_pair, end_robot = p, r
-                continue
-            if label[g] == np.inf:
-                column[n_column] = g
-                n_column += 1
-            label[g] = d
-            by_pair[g] = p
-            via_robot[holder[g]] = r
-        nearest, where = best, -1
-        for k in range(n_column):
-            if not is_done[k] and label[column[k]] < nearest:
-                nearest, where = label[column[k]], k
-        if where < 0:
-            break
-        is_done[where] = True
-        r, distance = holder[column[where]], nearest
-    for k in range(n_scanned):
-        u[scanned[k]] += best - at[k]
-    for k in range(n_column):
-        g = column[k]
-        if is_done[k]:
-            v[g] -= best - label[g]
-        label[g] = np.inf
-    r = end_robot
-    new = IDLE if end_group < 0 else end_pair
-    while True:
-        old = pair[r]
-        pair[r] = new
-        if new >= 0:
-            holder[group[pair_target[new]]] = r
-        if r == robot:
-            return
-        new = by_pair[group[pair_target[old]]]
-        r = via_robot[r]
-
-
-@njit(cache=True)
-def _release(freed, reach_first, reach_robot, pair_target, cost, u, v, pair, holder, group, ring, shut):
-    """Bring the dual of a group that has lost its robot back to 0, moving robots into it where that is cheaper."""
-    n_robot = len(u)
-    label = np.full(n_robot, np.inf)
-    by_pair = np.empty(n_robot, np.int64)
-    is_done = np.zeros(n_robot, np.bool_)
-    touched = np.empty(n_robot, np.int64)
-    n_touched = 0
-    best, end_robot = -v[freed], -1
-    g, distance = freed, 0.0
-    while True:
-        t = g
-        while True:
-            if not shut[t]:
-                for p in range(reach_first[t], reach_first[t + 1]):
-                    r = reach_robot[p]
-                    if pair[r] == FREE:
-                        continue
-                    d = distance + cost[p] - u[r] - v[g]
-                    if d < best and d < label[r] and not is_done[r]:
-                        if label[r] == np.inf:
-                            touched[n_touched] = r
-                            n_touched += 1
-                        label[r] = d
-                        by_pair[r] = p
-            t = ring[t]
-            if t == g:
-                break
-        nearest, r = best, -1
-        for k in range(n_touched):
-            if not is_done[touched[k]] and label[touched[k]] < nearest:
-                nearest, r = label[touched[k]], touched[k]
-        if r < 0:
-            break
-        is_done[r] = True
-        if pair[r] == IDLE:
-            best, end_robot = nearest, r
-            break
-        g, distance = group[pair_target[pair[r]]], nearest
-        if nearest - v[g] < best:
-            best, end_robot = nearest - v[g], r
-    v[freed] += best
-    for k in range(n_touched):
-        r = touched[k]
-        if is_done[r] and label[r] < best:
-            u[r] -= best - label[r]
-            if pair[r] >= 0:
-                v[group[pair_target[pair[r]]]] += best - label[r]
-    if end_robot < 0:
-        v[freed] = 0.0
-        return
-    r = end_robot
-    if pair[r] >= 0:
-        left = group[pair_target[pair[r]]]
-        holder[left] = -1
-        v[left] = 0.0
-    while True:
-        pair[r] = by_pair[r]
-        g = group[pair_target[by_pair[r]]]
-        old = holder[g]
-        holder[g] = r
-        if g == freed:
-            return
-        r = old
-
-
-@njit(cache=True)
-def _shut_out(
-    t, idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost, near_first, near, is_near,
-    u, v, pair, holder, group, ring, shut, label, by_pair,
-):  # fmt: skip
-    """Leave out one target, or (if `is_near`) all that are near it, and mend the assignment."""
-    out = near[near_first[t] : near_first[t + 1]] if is_near else np.full(1, t, np.int32)
-    freed_robot = np.empty(len(out), np.int64)
-    freed_group = np.empty(len(out), np.int64)
-    n = 0
-    for x in out:
-        if shut[x]:
-            continue
-        shut[x] = True
-        r = holder[group[x]]
-        if r >= 0 and pair_target[pair[r]] == x:
-            pair[r] = FREE
-            u[r] = 0.0
-            holder[group[x]] = -1
-            freed_robot[n], freed_group[n] = r, group[x]
-            n += 1
-    for k in range(n):
-        _release(
-            freed_group[k], reach_first, reach_robot, pair_target, cost, u, v, pair, holder, group, ring, shut
-        )  # fmt: skip
-    for k in range(n):
-        _assign(
-            freed_robot[k], idle_cost, own_first, own_pair, pair_target, cost,
-            u, v, pair, holder, group, shut, label, by_pair,
-        )  # fmt: skip
-
-
-@njit(cache=True)
-def _held_near(r, pair, pair_target, holder, group, near_first, near):
-    """First target held too close to that of robot r, and how many are."""
-    first, n = -1, 0
-    if pair[r] >= 0:
-        t = pair_target[pair[r]]
-        for k in range(near_first[t], near_first[t + 1]):
-            q = holder[group[near[k]]]
-            if q >= 0 and pair_target[pair[q]] == near[k]:
-                n += 1
-                if first < 0:
-                    first = near[k]
-    return first, n
-
-
-@njit(cache=True)
-def _is_clique(a, b, ring, xy, separation):
-    """Whether two groups are one clique."""
-    s = a
-    while True:
-        t = b
-        while True:
-            dx, dy = xy[s, 0] - xy[t, 0], xy[s, 1] - xy[t, 1]
-            if dx * dx + dy * dy >= separation * separation:
-                return False
-            t = ring[t]
-            if t == b:
-                break
-        s = ring[s]
-        if s == a:
-            return True
-
-
-@njit(cache=True)
-def _settle(
-    idle_cost, own_first, own_pair, pair_target, cost, near_first, near, xy, separation,
-    u, v, pair, holder, group, ring, shut, label, by_pair,
-):  # fmt: skip
-    """Merge groups until no two held targets that could be of one clique are too close; the target to branch on, or -1."""
-    n_robot = len(u)
-    while True:
-        branch, most, has_merged = -1, 0, False
-        for r in range(n_robot):
-            other, n = _held_near(r, pair, pair_target, holder, group, near_first, near)
-            if n == 0:
-                continue
-            a, b = group[pair_target[pair[r]]], group[other]
-            if not _is_clique(a, b, ring, xy, separation):
-                if n > most:
-                    branch, most = pair_target[pair[r]], n
-                continue
-            if v[b] < v[a]:
-                a, b = b, a
-            q = holder[b]
-            holder[b] = -1
-            v[b] = 0.0
-            t = b
-            while True:
-                group[t] = a
-                t = ring[t]
-                if t == b:
-                    break
-            ring[a], ring[b] = ring[b], ring[a]
-            pair[q] = FREE
-            u[q] = 0.0
-            _assign(q, idle_cost, own_first, own_pair, pair_target, cost, u, v, pair, holder, group, shut, label, by_pair)
-            has_merged = True
-        if not has_merged:
-            return branch
-
-
-@njit(cache=True)
-def _total(pair, cost, idle_cost):
-    total = 0.0
-    for p in pair:
-        total += idle_cost if p < 0 else cost[p]
-    return total
 
 
 @njit(cache=True)
@@ -319,56 +415,36 @@ def match_apart(
     n_node
         Number of branchings.
     """
-    n_target = len(xy)
-    own_first, own_pair = _pairs_by_robot(n_robot, reach_robot, cost)
-    u, v = np.zeros(n_robot), np.zeros(n_target)
-    pair = np.full(n_robot, FREE, np.int64)
-    holder = np.full(n_target, -1, np.int64)
-    group, ring = np.arange(n_target), np.arange(n_target)
-    shut = np.zeros(n_target, np.bool_)
-    label, by_pair = np.full(n_target, np.inf), np.empty(n_target, np.int64)
-    for r in range(n_robot):
-        _assign(r, idle_cost, own_first, own_pair, pair_target, cost, u, v, pair, holder, group, shut, label, by_pair)
-
-    waiting = [(u.copy(), v.copy(), pair.copy(), holder.copy(), group.copy(), ring.copy(), shut.copy())]
-    waiting_bound = [-np.inf]
+    own_first, own_pair = _pairs_by_robot(n_robot, reach_robot)
+    pairs = Pairs(
+        idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost, near_first, near, xy, separation
+    )
+    tree = _tree(n_robot, len(xy))
+    waiting, waiting_bound = [_relaxed(n_robot, len(xy), pairs, tree)], [-np.inf]
     best, best_pair, n_node, open_bound = np.inf, np.full(n_robot, IDLE, np.int64), 0, np.inf
     while len(waiting) > 0:
-        u, v, pair, holder, group, ring, shut = waiting.pop()
+        now = waiting.pop()
         if waiting_bound.pop() >= best - COST_TOLERANCE:
             continue
         while True:
-            t = _settle(
-                idle_cost, own_first, own_pair, pair_target, cost, near_first, near, xy, separation,
-                u, v, pair, holder, group, ring, shut, label, by_pair,
-            )  # fmt: skip
-            bound = _total(pair, cost, idle_cost)
+            t = _settle(pairs, now, tree)
+            bound = _total(pairs, now)
             if bound >= best - COST_TOLERANCE:
                 break
             if t < 0:
-                best, best_pair = bound, pair.copy()
+                best, best_pair = bound, now.pair.copy()
                 break
             if n_node >= max_nodes and best < np.inf:
                 open_bound = min(open_bound, bound)
                 break
             n_node += 1
-            other = (u.copy(), v.copy(), pair.copy(), holder.copy(), group.copy(), ring.copy(), shut.copy())
-            _shut_out(
-                t, idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost,
-                near_first, near, False, u, v, pair, holder, group, ring, shut, label, by_pair,
-            )  # fmt: skip
-            _shut_out(
-                t, idle_cost, own_first, own_pair, reach_first, reach_robot, pair_target, cost,
-                near_first, near, True, other[0], other[1], other[2], other[3], other[4], other[5], other[6], label, by_pair,
-            )  # fmt: skip
-            here, there = _total(pair, cost, idle_cost), _total(other[2], cost, idle_cost)
-            if there < here:
-                waiting.append((u, v, pair, holder, group, ring, shut))
-                waiting_bound.append(here)
-                u, v, pair, holder, group, ring, shut = other
-            else:
-                waiting.append(other)
-                waiting_bound.append(there)
+            other = _copy(now)
+            _shut_out(t, False, pairs, now, tree)
+            _shut_out(t, True, pairs, other, tree)
+            if _total(pairs, other) < _total(pairs, now):
+                now, other = other, now
+            waiting.append(other)
+            waiting_bound.append(_total(pairs, other))
     return best_pair, min(best, open_bound), n_node
 
 
@@ -436,9 +512,9 @@ def match_open(
     farthest, greatest = 1e-12, 0.0
     for p in range(len(robot)):
         t, r = full[target[p]], robot[p]
-        cost[p] = ((xy[t, 0] - start_xy[r, 0]) ** 2 + (xy[t, 1] - start_xy[r, 1]) ** 2) ** half_power
+        cost[p] = _travel_cost(xy[t, 0], xy[t, 1], start_xy[r, 0], start_xy[r, 1], half_power)
         if park_pull > 0.0:
-            cost[p] += park_pull * ((xy[t, 0] - park_xy[r, 0]) ** 2 + (xy[t, 1] - park_xy[r, 1]) ** 2) ** half_power
+            cost[p] += park_pull * _travel_cost(xy[t, 0], xy[t, 1], park_xy[r, 0], park_xy[r, 1], half_power)
         farthest = max(farthest, cost[p])
         greatest = max(greatest, value[t])
     for p in range(len(robot)):
