@@ -17,6 +17,7 @@ import pytest
 from survey_sim import tables
 from survey_sim.check import check_run
 from survey_sim.schema import TABLES
+from survey_sim.survey import warm
 from survey_sim.survey.engine import plan_stages, run_stages
 from survey_sim.survey.run import Run, open_run
 from survey_sim.survey.stages import make_night_schedule
@@ -330,3 +331,12 @@ def test_a_footprint_without_targets_gives_tables_and_a_warning(
     n_target = tables.read(run.folder, "target_status").height
     assert n_target == tables.read(run.folder, "targets").filter(kind="science").height
     assert check_run(run.folder).is_passed
+
+
+def test_the_survey_that_compiles_kernels_comes_to_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Visits, pointings and the ways between: a night that clouds take would leave the telescope's kernels uncompiled."""
+    rows = {}
+    names = ("visits", "exposures", "exposure_legs", "executions")
+    monkeypatch.setattr(warm, "check_run", lambda folder: rows.update({n: tables.read(folder, n).height for n in names}))
+    warm.compile_kernels()
+    assert min(rows.values()) > 0, rows

@@ -15,7 +15,7 @@ first, and where there is not time enough for all, the richest visits do.
 Greedy within the night, deterministic, and without knowledge of the weather to come.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,8 @@ IntArray = npt.NDArray[np.int64]
 _STREAM_SUCCESS = 2
 # Times that nights are observed with estimates before they are observed one by one.
 N_GUESS = 2
+# Times as many nights as the robots ask for that are scheduled ahead at most.
+MOST_AHEAD = 4
 
 
 @dataclass(frozen=True)
@@ -131,30 +133,44 @@ class _Survey:
     def observe(self, robots: Robots) -> tuple[list[FloatArray], IntArray, State]:
         """Log of every night, targets of each programme complete after it (n_night, n_programme), and the end.
 
-        Some nights at a time are observed with estimates of what is not known, the robots' ways are then found for all
-        of them at once, and the nights observed again, until no estimate was needed; the last time, nothing is estimated.
-        So the result is that of night after night in order.
+        Some nights at a time are observed with estimates of what is not known, while the robots' ways are found for those
+        already decided; then they are observed again, until no estimate was needed; the last time, nothing is estimated.
+        So the result is that of night after night in order. While estimates do, more nights are taken at a time.
         """
         state = initial_state(self.problem)
         logs: list[FloatArray] = []
         complete = np.zeros((len(self.nights), len(self.problem.programmes)), dtype=np.int64)
+        n_ahead = robots.n_ahead
         while len(logs) < len(self.nights):
-            ahead = range(len(logs), min(len(logs) + robots.n_ahead, len(self.nights)))
+            ahead = range(len(logs), min(len(logs) + n_ahead, len(self.nights)))
             skies = [self._sky(number) for number in ahead]
             for is_exact in (*(False,) * N_GUESS, True):
                 trial = State(*(array.copy() for array in state))
                 chains = [robots.begin_night(is_exact=is_exact) for _ in ahead]
-                found = []
-                for number, sky, chain in zip(ahead, skies, chains, strict=True):
-                    found.append(self._observe_night(number, sky, trial, chain))
-                    complete[number] = trial.n_complete
+                found: list[FloatArray] = []
+                robots.prepare(self._observe_nights(ahead, skies, trial, chains, found, complete))
                 if all(chain.is_exact for chain in chains):
                     break
-                robots.prepare(chains)
+            n_ahead = robots.n_ahead if is_exact else min(2 * n_ahead, MOST_AHEAD * robots.n_ahead)
             robots.accept(chains)
             state = trial
             logs += found
         return logs, complete, state
+
+    def _observe_nights(
+        self,
+        numbers: range,
+        skies: Sequence[tuple[kernels.Night, kernels.Fields] | None],
+        state: State,
+        chains: Sequence[Chain],
+        logs: list[FloatArray],
+        complete: IntArray,
+    ) -> Iterator[Chain]:
+        """Observe nights, one whenever one is asked for: `state` goes on, `logs` and `complete` are filled."""
+        for number, sky, chain in zip(numbers, skies, chains, strict=True):
+            logs.append(self._observe_night(number, sky, state, chain))
+            complete[number] = state.n_complete
+            yield chain
 
     def _sky(self, number: int) -> tuple[kernels.Night, kernels.Fields] | None:
         """A night and its fields, whatever was observed before; None if nothing is."""

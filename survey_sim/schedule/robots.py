@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -51,7 +52,7 @@ class Robots(Protocol):
     Attributes
     ----------
     n_ahead
-        Nights to be scheduled with estimates before the ways of all of them are asked for at once.
+        Nights that are scheduled with estimates at a time, while the ways of the first of them are found.
     """
 
     n_ahead: int
@@ -59,8 +60,8 @@ class Robots(Protocol):
     def begin_night(self, *, is_exact: bool) -> Chain:
         """All robots at park; exact: no estimate will do."""
 
-    def prepare(self, chains: Sequence[Chain]) -> None:
-        """Learn the ways that these nights would take."""
+    def prepare(self, chains: Iterable[Chain]) -> None:
+        """Take all of these nights, each decided when it is asked for, and learn the ways that they would take."""
 
     def accept(self, chains: Sequence[Chain]) -> None:
         """These nights, the next ones, are as they shall be."""
@@ -76,8 +77,9 @@ class UsualRobots:
         """A night."""
         return UsualChain()
 
-    def prepare(self, chains: Sequence[Chain]) -> None:
-        """Nothing to learn."""
+    def prepare(self, chains: Iterable[Chain]) -> None:
+        """Nothing to learn of them."""
+        deque(chains, maxlen=0)
 
     def accept(self, chains: Sequence[Chain]) -> None:
         """Nothing to keep."""

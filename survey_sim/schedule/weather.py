@@ -42,7 +42,7 @@ def make_weather(first: date, n_night: int, settings: Weather, seed: int) -> Boo
         (n_night, 48) from local mean noon to noon.
     """
     from scipy.signal import lfilter  # noqa: PLC0415 - 0.3 s that the command line's help need not pay
-    from scipy.stats import norm  # noqa: PLC0415
+    from scipy.special import ndtri  # noqa: PLC0415
 
     n_before = int(np.ceil(_N_MEMORY_BEFORE * max(settings.night_memory_days, settings.hour_memory_h / 24.0)))
     days = mjd_of(first) + np.arange(-n_before, n_night)
@@ -55,7 +55,7 @@ def make_weather(first: date, n_night: int, settings: Weather, seed: int) -> Boo
     by_night = lfilter([np.sqrt(1.0 - slow**2)], [1.0, -slow], draws[:, 0])
     by_step = lfilter([np.sqrt(1.0 - fast**2)], [1.0, -fast], draws[:, 1:].ravel()).reshape(-1, N_STEP_DAY)
     cloud = np.sqrt(share) * by_night[:, None] + np.sqrt(1.0 - share) * by_step
-    return np.asarray(cloud[n_before:] > norm.isf(settings.mean_loss_frac))
+    return np.asarray(cloud[n_before:] > -ndtri(settings.mean_loss_frac))
 
 
 def _memory(step: float, e_folding: float) -> float:

@@ -23,6 +23,7 @@ leg_speed_scatter_frac = 0.01
 [schedule]
 start_date = 2016-10-01
 end_date = 2016-10-02
+weather = { mean_loss_frac = 0.0 }
 """
 
 

@@ -180,7 +180,10 @@ def _quiet_dask() -> None:
     import distributed  # noqa: F401, PLC0415 - sets levels of its loggers when it is first imported
 
     # A worker that kernels keep busy is no fault; libraries of a worker shall not start threads of their own.
-    dask.config.set({"distributed.worker.daemon": True, "distributed.admin.tick.limit": "1h"})
+    quiet = {"tick.limit": "1h", "large-graph-warning-threshold": "1 GiB"}
+    dask.config.set(
+        {"distributed.worker.daemon": True, **{f"distributed.admin.{key}": value for key, value in quiet.items()}}
+    )
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"):
         os.environ.setdefault(name, "1")
     # Its server of figures about itself listens on this machine alone, and on any port.

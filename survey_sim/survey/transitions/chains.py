@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -190,14 +190,15 @@ def _go_on(
     return State(routed.end_mm, routed.end_theta_deg), played.configuration_time_s, sorted(lost.tolist())
 
 
-def batches(jobs: Sequence[ChainJob], n_step: int, plate: Plate, routing: RoutingSettings, seed: int) -> list[ChainBatch]:
-    """Jobs in order, gathered to about so many steps each."""
-    made: list[list[ChainJob]] = []
-    size = n_step
+def batches(
+    jobs: Iterable[ChainJob], n_step: int, plate: Plate, routing: RoutingSettings, seed: int
+) -> Iterator[ChainBatch]:
+    """Jobs in order, gathered to about so many steps each; none is asked for before it is needed."""
+    some: list[ChainJob] = []
     for job in jobs:
-        if size >= n_step:
-            made.append([])
-            size = 0
-        made[-1].append(job)
-        size += len(job.keys)
-    return [ChainBatch(tuple(some), plate, routing, seed) for some in made]
+        some.append(job)
+        if sum(len(one.keys) for one in some) >= n_step:
+            yield ChainBatch(tuple(some), plate, routing, seed)
+            some = []
+    if some:
+        yield ChainBatch(tuple(some), plate, routing, seed)

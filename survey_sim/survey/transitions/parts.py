@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
@@ -13,27 +14,51 @@ from survey_sim import tables
 from survey_sim.schema import TABLES
 from survey_sim.survey.run import Run
 from survey_sim.survey.transitions.chains import EXPOSURE_TABLES
-from survey_sim.survey.transitions.robots import PlateRobots
+from survey_sim.survey.transitions.robots import PlateRobots, read_ways
 
 _IN_PARTS = tuple(table for table in EXPOSURE_TABLES if TABLES[table].is_in_parts)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One part of each table, to be made.
+
+    Attributes
+    ----------
+    signature
+        Digest of the names of its steps and of the number of its first exposure.
+    steps
+        Files of ways that hold its steps: content, places in the file, and the exposures that they are.
+    """
+
+    name: str
+    signature: str
+    steps: tuple[tuple[bytes, pl.DataFrame], ...]
 
 
 def write_parts(run: Run, robots: PlateRobots) -> None:
     """Write `EXPOSURE_TABLES` of the nights that the robots have been through; parts that are as they shall be stay."""
     n = run.settings.output.nights_per_part
-    paths, first, names = [tables.empty("exposure_paths")], 0, set()
+    paths, first, stale, names = [tables.empty("exposure_paths")], 0, [], set()
     for begin in range(0, len(robots.nights), n):
         keys = [key for night in robots.nights[begin : begin + n] for key in night]
         name = f"nights-{begin:05d}"
         names.add(name)
         signature = sha256(json.dumps([first, *keys]).encode()).hexdigest()
-        paths.append(_gathered(robots, keys, first, "exposure_paths"))
+        places = _places(robots, keys, first)
+        paths += [_numbered(robots.ways.read(file, "exposure_paths"), some) for file, some in places.items()]
         if not _is_whole(run, name, signature):
-            _write(run, robots, keys, first, name, signature)
+            stale.append((name, signature, places))
         first += len(keys)
     _drop(run, names)
     for table in _IN_PARTS:
         run.table(table).mkdir(parents=True, exist_ok=True)
+    parts = (
+        _Part(name, signature, tuple((robots.ways.content(file), some) for file, some in places.items()))
+        for name, signature, places in stale
+    )
+    for name, signature, contents in run.workers.stream(_encode, parts):
+        _write(run, name, signature, contents)
     tables.write(pl.concat(paths), "exposure_paths", run.table("exposure_paths"))
     robots.ways.prune({key for night in robots.nights for key in night})
 
@@ -49,31 +74,38 @@ def are_parts_whole(run: Run) -> bool:
     return all(_is_whole(run, manifest.stem) for manifest in sorted(_manifests(run)))
 
 
-def _write(run: Run, robots: PlateRobots, keys: list[str], first: int, name: str, signature: str) -> None:
-    """Write a part of each table, and last the manifest that says they are whole."""
-    checksums = {}
-    for table in _IN_PARTS:
-        content = tables.encode(_gathered(robots, keys, first, table), table)
-        path = run.table(table) / f"{name}.parquet"
-        tables.write_bytes(content, path, aside=run.folder)
-        checksums[table] = sha256(content).hexdigest()
-    kept = {"name": name, "signature": signature, "sha256": checksums}
-    tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), run.state / "nights" / f"{name}.json")
-
-
-def _gathered(robots: PlateRobots, keys: list[str], first: int, table: str) -> pl.DataFrame:
-    """Rows of the steps of some nights, exposures counted from `first`."""
+def _places(robots: PlateRobots, keys: list[str], first: int) -> dict[str, pl.DataFrame]:
+    """Places of steps in files of ways, and the exposures that they are, counted from `first`; by file."""
     by_file: dict[str, list[tuple[int, int]]] = {}
     for number, key in enumerate(keys):
         step = robots.ways.steps[key]
         by_file.setdefault(step.file, []).append((step.place, first + number))
-    found = [tables.empty(table)]
-    for file, places in by_file.items():
-        schema = {"exposure_id": pl.Int32, "own": pl.Int32}
-        numbers = pl.DataFrame(places, schema=schema, orient="row")
-        rows = robots.ways.read(file)[table].join(numbers, on="exposure_id", how="inner")
-        found.append(rows.with_columns(exposure_id="own").drop("own"))
-    return pl.concat(found)
+    schema = {"exposure_id": pl.Int32, "own": pl.Int32}
+    return {file: pl.DataFrame(places, schema=schema, orient="row") for file, places in by_file.items()}
+
+
+def _numbered(rows: pl.DataFrame, places: pl.DataFrame) -> pl.DataFrame:
+    """Rows of the steps at some places of a file, by the exposures that they are."""
+    found = rows.join(places, on="exposure_id", how="inner")
+    return found.with_columns(exposure_id="own").drop("own")
+
+
+def _encode(part: _Part) -> tuple[str, str, dict[str, bytes]]:
+    """Name and signature of a part, and its file of each table: work for another process."""
+    contents = {}
+    for table in _IN_PARTS:
+        rows = [_numbered(read_ways(content, table), places) for content, places in part.steps]
+        contents[table] = tables.encode(pl.concat([tables.empty(table), *rows]), table)
+    return part.name, part.signature, contents
+
+
+def _write(run: Run, name: str, signature: str, contents: dict[str, bytes]) -> None:
+    """Write a part of each table, and last the manifest that says they are whole."""
+    for table, content in contents.items():
+        tables.write_bytes(content, run.table(table) / f"{name}.parquet", aside=run.folder)
+    checksums = {table: sha256(content).hexdigest() for table, content in contents.items()}
+    kept = {"name": name, "signature": signature, "sha256": checksums}
+    tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), run.state / "nights" / f"{name}.json")
 
 
 def _is_whole(run: Run, name: str, signature: str | None = None) -> bool:

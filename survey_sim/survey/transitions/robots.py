@@ -8,7 +8,7 @@ what it has not routed before.
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import sha256
@@ -24,9 +24,8 @@ from survey_sim.routing import RoutingSettings
 from survey_sim.schedule.robots import Chain, Configuration
 from survey_sim.survey.tile import State
 from survey_sim.survey.transitions.chains import (
-    EXPOSURE_TABLES,
+    ChainBatch,
     ChainJob,
-    ChainResult,
     Configurations,
     batches,
     route_chains,
@@ -46,6 +45,34 @@ class Step:
     configuration: Configuration
     file: str
     place: int
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What came of a batch of chains: name and content of the file that keeps it, and its steps (`ChainResult`)."""
+
+    name: str
+    content: bytes
+    steps: pl.DataFrame
+
+
+def route_and_pack(batch: ChainBatch) -> Packed:
+    """Do all chains of a batch, and pack what came of it: work for another process."""
+    result = route_chains(batch)
+    content = BytesIO()
+    with zipfile.ZipFile(content, "w") as kept:
+        for member, frame in ((_STEPS, result.steps), *result.frames.items()):
+            buffer = BytesIO()
+            frame.write_parquet(buffer, compression="lz4", statistics=False)
+            kept.writestr(member, buffer.getvalue())
+    name = f"{sha256(''.join(result.steps['key']).encode()).hexdigest()[:32]}.zip"
+    return Packed(name, content.getvalue(), result.steps)
+
+
+def read_ways(content: bytes, table: str) -> pl.DataFrame:
+    """Rows of one of `EXPOSURE_TABLES` of a file of ways; `exposure_id` is the step's place in it."""
+    with zipfile.ZipFile(BytesIO(content)) as kept:
+        return pl.read_parquet(BytesIO(kept.read(table)))
 
 
 class Ways:
@@ -73,19 +100,14 @@ class Ways:
             else:
                 path.unlink(missing_ok=True)
 
-    def keep(self, result: ChainResult) -> None:
+    def keep(self, packed: Packed) -> None:
         """Write what came of a batch."""
-        if result.steps.is_empty():
-            return
-        name = f"{sha256(''.join(result.steps['key']).encode()).hexdigest()[:32]}.zip"
-        content = BytesIO()
-        with zipfile.ZipFile(content, "w") as kept:
-            for member, frame in ((_STEPS, result.steps), *result.frames.items()):
-                buffer = BytesIO()
-                frame.write_parquet(buffer, compression="zstd", statistics=False)
-                kept.writestr(member, buffer.getvalue())
-        tables.write_bytes(content.getvalue(), self.folder / name)
-        self._index(name, result.steps)
+        tables.write_bytes(packed.content, self.folder / packed.name)
+        self._index(packed.name, packed.steps)
+
+    def content(self, name: str) -> bytes:
+        """A file, to be read elsewhere (`read_ways`)."""
+        return (self.folder / name).read_bytes()
 
     def prune(self, keys: set[str]) -> None:
         """Remove the files that hold none of these steps."""
@@ -98,10 +120,8 @@ class Ways:
         for key, place, time_s, lost in steps.iter_rows():
             self.steps.setdefault(key, Step(Configuration(time_s, np.array(lost, dtype=np.int64)), name, place))
 
-    def _read(self, name: str) -> dict[str, pl.DataFrame]:
-        """The frames of a file, by table."""
-        with zipfile.ZipFile(self.folder / name) as kept:
-            return {table: pl.read_parquet(BytesIO(kept.read(table))) for table in EXPOSURE_TABLES}
+    def _read(self, name: str, table: str) -> pl.DataFrame:
+        return read_ways(self.content(name), table)
 
 
 @dataclass
@@ -139,12 +159,20 @@ class PlateRobots:
         """All robots at park; exact: what is not known is routed at once."""
         return PlateChain(self, must_be_exact=is_exact)
 
-    def prepare(self, chains: Sequence[Chain]) -> None:
-        """Route what is not known of these nights."""
-        jobs = {job.keys[-1]: job for chain in chains if isinstance(chain, PlateChain) and (job := chain.job()) is not None}
-        tasks = batches(list(jobs.values()), N_STEP_TASK, self.plate, self.routing, self.seed)
-        for result in self.workers.stream(route_chains, tasks):
-            self.ways.keep(result)
+    def prepare(self, chains: Iterable[Chain]) -> None:
+        """Route what is not known of these nights, the first of them while others are still asked for."""
+        tasks = batches(self._jobs(chains), N_STEP_TASK, self.plate, self.routing, self.seed)
+        for packed in self.workers.stream(route_and_pack, tasks):
+            self.ways.keep(packed)
+
+    def _jobs(self, chains: Iterable[Chain]) -> Iterator[ChainJob]:
+        """What is not known, once: nights that begin with the same visits share their ways."""
+        asked = set()
+        for chain in chains:
+            job = chain.job() if isinstance(chain, PlateChain) else None
+            if job is not None and job.keys[-1] not in asked:
+                asked.add(job.keys[-1])
+                yield job
 
     def accept(self, chains: Sequence[Chain]) -> None:
         """These nights, the next ones, are as they shall be."""
@@ -161,13 +189,13 @@ class PlateRobots:
     def state_after(self, key: str) -> State:
         """Where the robots stand after a known step."""
         step = self.ways.steps[key]
-        rows = self.ways.read(step.file)["exposure_allocations"].filter(exposure_id=step.place)
+        rows = self.ways.read(step.file, "exposure_allocations").filter(exposure_id=step.place)
         return State(rows.select("x_mm", "y_mm").to_numpy(order="c"), rows["theta_deg"].to_numpy())
 
     def route_now(self, job: ChainJob) -> None:
         """Route a chain here."""
         for batch in batches([job], 1, self.plate, self.routing, self.seed):
-            self.ways.keep(route_chains(batch))
+            self.ways.keep(route_and_pack(batch))
 
 
 class PlateChain:
