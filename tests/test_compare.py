@@ -12,7 +12,8 @@ from survey_sim import tables
 from survey_sim.cli import app
 from survey_sim.errors import InputError
 from survey_sim.plotting import RunTables
-from survey_sim.plotting.comparison import ComparisonTables
+from survey_sim.plotting.comparison import ComparisonTables, note_if_alike
+from survey_sim.plotting.style import new_figure
 from survey_sim.study_schema import STUDY_TABLES
 from survey_sim.survey.compare import compare_measures, compare_runs, read_runs, write_imprint
 from survey_sim.survey.comparison_page import difference_text, text_of
@@ -192,3 +193,17 @@ def test_units_stand_in_the_names() -> None:
 )
 def test_differences_have_the_digits_of_their_uncertainty(value: float, error: float, text: str) -> None:
     assert difference_text(value, error) == text
+
+
+@pytest.mark.parametrize(("second", "remarks"), [([0.1, 0.9], ["all scenarios alike"]), ([0.1, 0.8], []), ([0.1], [])])
+def test_lines_that_lie_on_one_another_are_told(second: list[float], remarks: list[str]) -> None:
+    axes = new_figure().subplots()
+    scenarios = ["a", "a", *["b"] * len(second)]
+    note_if_alike(axes, pl.DataFrame({"scenario": scenarios, "value": [0.1, 0.9, *second]}), "value")
+    assert [text.get_text() for text in axes.texts] == remarks
+
+
+def test_one_scenario_is_not_said_to_be_alike() -> None:
+    axes = new_figure().subplots()
+    note_if_alike(axes, pl.DataFrame({"scenario": ["a", "a"], "value": [0.1, 0.9]}), "value")
+    assert not axes.texts

@@ -8,7 +8,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from survey_sim.plotting.axes import as_percent, empty_figure, legend_above, whole_numbers
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of, note_if_alike
 from survey_sim.plotting.style import new_figure
 
 
@@ -27,6 +27,7 @@ def draw(comparison: ComparisonTables) -> Figure:
             style = {**comparison.style(scenario), "marker": ""}
             axes.plot(line["night"], line["mean"], label=scenario, **style)
             axes.fill_between(line["night"], line["low"], line["high"], color=style["color"], alpha=0.10, linewidth=0)
+        note_if_alike(axes, curves.filter(programme=programme).sort("seed", "night"), "night", "completeness_frac")
         axes.set(title=programme, xlabel="Night", ylim=(0, 1.02))
         as_percent(axes.yaxis)
         whole_numbers(axes.xaxis)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting.axes import as_percent, empty_figure, legend_above, note
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main, grid_of, note_if_alike
 from survey_sim.plotting.style import FAINT, new_figure
 
 
@@ -29,6 +29,7 @@ def draw(comparison: ComparisonTables) -> Figure:
             rows = own.filter(scenario=scenario).sort("quantile_frac")
             style = {**comparison.style(scenario), "marker": ""}
             axes.plot(rows["configuration_time_s"], rows["quantile_frac"], label=scenario, **style)
+        note_if_alike(axes, own.sort("quantile_frac"), "configuration_time_s", where="upper left")
         axes.set(title=survey, xlabel="Configuration time (s)", xlim=(0, 1.05 * max(longest, 1.0)), ylim=(0, 1.02))
         as_percent(axes.yaxis)
     panels[0].set_ylabel("Visits at rest (%)")

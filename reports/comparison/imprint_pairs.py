@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from survey_sim.plotting.axes import as_percent, empty_figure, legend_above, log_scale
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main, note_if_alike
 from survey_sim.plotting.style import MUTED, new_figure
 
 
@@ -29,6 +29,7 @@ def draw(comparison: ComparisonTables) -> Figure:
             rows = table.filter(programme=programme, scenario=scenario)
             _draw_line(grid[0, column], comparison, scenario, rows, "pair_completeness_frac", "pair_completeness_error_frac")
             _draw_line(grid[1, column], comparison, scenario, rows, "ratio", "ratio_error")
+        note_if_alike(grid[0, column], table.filter(programme=programme), "pair_completeness_frac")
         grid[0, column].set_title(programme)
         grid[0, column].set_ylim(0, 1.03)
         grid[1, column].axhline(1.0, color=MUTED, linewidth=0.8)

@@ -8,7 +8,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from survey_sim.plotting.axes import as_percent, empty_figure, legend_above
-from survey_sim.plotting.comparison import ComparisonTables, comparison_main
+from survey_sim.plotting.comparison import ComparisonTables, comparison_main, note_if_alike
 from survey_sim.plotting.style import new_figure
 
 ROWS = (
@@ -32,6 +32,8 @@ def draw(comparison: ComparisonTables) -> Figure:
                 axes.errorbar(
                     rows[x], rows["completeness_frac"], yerr=rows["completeness_error_frac"], label=scenario, **style
                 )
+            own = comparison.table(name, programme=programme, outcome="allocated").sort(pl.col(x))
+            note_if_alike(axes, own, "completeness_frac", where="lower left")
             axes.set(xlabel=label, ylim=(0, 1.03))
     for axes, programme in zip(grid[0], programmes, strict=True):
         axes.set_title(programme)

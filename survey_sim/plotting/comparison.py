@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from survey_sim.errors import InputError
 from survey_sim.folders import data_folder
+from survey_sim.plotting.axes import note
 from survey_sim.plotting.figures import Script, draw_script, find_scripts, main
 from survey_sim.plotting.study import ALGORITHM_STYLES
 from survey_sim.plotting.style import DASHES, new_figure
@@ -145,6 +146,13 @@ def draw_comparison(folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[Sc
 def comparison_main(script: str) -> None:
     """Command line of a script: `python reports/comparison/NAME.py COMPARISON_DIR [OUT_DIR]`."""
     main(script, ComparisonTables, "COMPARISON_DIR", "figures")
+
+
+def note_if_alike(axes: Axes, rows: pl.DataFrame, *columns: str, where: str = "lower right") -> None:
+    """Say so where the lines of several scenarios lie on one another; `rows` have their column `scenario`."""
+    lines = rows.group_by("scenario", maintain_order=True).agg(columns)
+    if len(lines) > 1 and lines.select(columns).n_unique() == 1:
+        note(axes, "all scenarios alike", where=where)
 
 
 def grid_of(n_panel: int, n_column: int, height_in: float, **shared: Any) -> tuple[Figure, list[Axes]]:
