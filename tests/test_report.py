@@ -23,6 +23,7 @@ from survey_sim.plotting.sky import galactic_parallel, paint_tiles, sky_frame
 from survey_sim.region import abs_galactic_latitude_deg
 from survey_sim.survey import report
 from survey_sim.survey.report import make_report
+from survey_sim.survey.workers import Workers
 from tests.report_run import write_run
 
 SCRIPTS = find_scripts()
@@ -187,6 +188,19 @@ def test_figures_are_files_too(page: Path) -> None:
 def test_same_run_gives_same_bytes(run_dir: Path, page: Path) -> None:
     before = {path: path.read_bytes() for path in page.parent.rglob("*.*")}
     make_report(run_dir)
+    assert {path: path.read_bytes() for path in page.parent.rglob("*.*")} == before
+
+
+def test_two_workers_draw_the_same_bytes(run_dir: Path, page: Path) -> None:
+    before = {path: path.read_bytes() for path in page.parent.rglob("*.*")}
+    for path in before:
+        path.unlink()
+    workers = Workers(2)
+    try:
+        make_report(run_dir, workers)
+    finally:
+        workers.close()
+    assert workers.cpu_s > 0.0
     assert {path: path.read_bytes() for path in page.parent.rglob("*.*")} == before
 
 

@@ -54,9 +54,9 @@ def finished(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def copy(pipeline: Path, finished: Path, tmp_path: Path) -> Path:
-    """A finished run to change, at home in its new place: doit knows files by their full paths, parts are kept."""
-    return _run(pipeline, Path(shutil.copytree(finished, tmp_path / "small"))).folder
+def copy(finished: Path, tmp_path: Path) -> Path:
+    """A finished run to change."""
+    return Path(shutil.copytree(finished, tmp_path / "small"))
 
 
 def test_every_table_is_there_and_the_check_passes(finished: Path) -> None:
@@ -150,6 +150,19 @@ def test_nothing_runs_twice(pipeline: Path, copy: Path) -> None:
     assert not any(_plan(pipeline, copy).values()), _plan(pipeline, copy)
     _run(pipeline, copy)
     assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.parquet")} == before
+
+
+@pytest.mark.parametrize("copier", [shutil.copy2, shutil.copyfile])
+def test_a_run_that_was_copied_or_moved_is_up_to_date(
+    pipeline: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copier
+) -> None:
+    copied = shutil.copytree(finished, tmp_path / "copied", copy_function=copier)
+    assert not any(_plan(pipeline, copied).values()), _plan(pipeline, copied)
+    moved = copied.rename(tmp_path / "moved")
+    monkeypatch.chdir(tmp_path)
+    assert not any(_plan(pipeline, Path("moved")).values())
+    (moved / "tiles.parquet").unlink()
+    assert [name for name, reasons in _plan(pipeline, moved).items() if reasons] == ["pool", "visits", "schedule", "report"]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ The scripts hold the figures; here are the reading (`run`), the colours of thing
 drawing of scripts to files (`figures`).
 """
 
-from survey_sim.plotting.figures import Script, draw_script, find_scripts, main, save_figure
+from survey_sim.plotting.figures import Script, draw_script, find_scripts, load_script, main, save_figure
 from survey_sim.plotting.run import ProgrammeRow, RunTables, Visit
 from survey_sim.plotting.style import figure_style, new_figure
 from survey_sim.plotting.summary import Summary, summarise
@@ -18,6 +18,7 @@ __all__ = [
     "draw_script",
     "figure_style",
     "find_scripts",
+    "load_script",
     "main",
     "new_figure",
     "save_figure",

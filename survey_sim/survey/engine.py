@@ -7,16 +7,18 @@ killed, or that the memory lost, runs again from its whole parts.
 from __future__ import annotations
 
 import json
+import os
 import runpy
 import sqlite3
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from doit.dependency import DatabaseException, Dependency, SqliteDB
+from doit.dependency import DatabaseException, Dependency, MD5Checker, SqliteDB
 from doit.task import Task, dict_to_task
 
 from survey_sim import interrupts
@@ -85,6 +87,32 @@ class Whole:
         return f"damaged: {', '.join(self.damaged)}"
 
 
+class _ContentsIn(MD5Checker):
+    """doit's check of files by their contents, of files that go by their names in a run's folder (`Run.name_of`).
+
+    So the memory holds wherever the folder is moved or copied to.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def exists(self, name: str) -> bool:
+        """Whether a file is there; called by doit, as are the others."""
+        return (self.folder / name).exists()
+
+    def info(self, name: str) -> os.stat_result:
+        """What the disk says of it."""
+        return (self.folder / name).stat()
+
+    def get_state(self, name: str, state: Any) -> Any:
+        """What to remember of it."""
+        return super().get_state(str(self.folder / name), state)
+
+    def check_modified(self, name: str, stat: os.stat_result, state: Any) -> bool:
+        """Whether it is other than what is remembered."""
+        return bool(super().check_modified(str(self.folder / name), stat, state))
+
+
 @dataclass(frozen=True)
 class Stage:
     """One stage as a make-style task.
@@ -108,14 +136,14 @@ class Stage:
     unchanged: tuple[Unchanged, ...]
     is_whole: Callable[[], bool] = field(default=lambda: True)
 
-    def task(self) -> Task:
-        """The stage as doit sees it."""
+    def task(self, run: Run) -> Task:
+        """The stage of a run as doit sees it."""
         return dict_to_task(
             {
                 "name": self.name,
                 "actions": None,
-                "file_dep": [str(path) for path in self.needs],
-                "targets": [str(path) for path in self.makes],
+                "file_dep": [run.name_of(path) for path in self.needs],
+                "targets": [run.name_of(path) for path in self.makes],
                 "uptodate": [*self.unchanged, Whole(self.makes), self.is_whole],
             }
         )
@@ -216,7 +244,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _status(run: Run, stage: Stage) -> tuple[list[str], Task]:
     """Why a stage is out of date, in words (nothing if it is not), and its task."""
     absent = [path.name for path in stage.needs if not path.exists()]
-    task = stage.task()
+    task = stage.task(run)
     if absent:
         return [f"not made yet: {', '.join(absent)}"], task
     with _memory(run) as memory:
@@ -244,11 +272,12 @@ def _reasons(stage: Stage, found: Mapping[str, Any]) -> Iterator[str]:
 def _memory(run: Run) -> Iterator[Dependency]:
     """doit's memory, saved when the block ends; one that cannot be read is begun anew."""
     path = run.state / "engine.db"
+    begin = partial(Dependency, SqliteDB, str(path), checker_cls=partial(_ContentsIn, run.folder))
     try:
-        memory = Dependency(SqliteDB, str(path))
+        memory = begin()
     except (DatabaseException, sqlite3.DatabaseError):
         path.unlink(missing_ok=True)
-        memory = Dependency(SqliteDB, str(path))
+        memory = begin()
     yield memory
     try:
         memory.close()

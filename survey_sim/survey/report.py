@@ -7,7 +7,7 @@ from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import jinja2
 import polars as pl
@@ -15,11 +15,12 @@ from markupsafe import Markup
 
 from survey_sim import tables
 from survey_sim.folders import data_folder
-from survey_sim.plotting import RunTables, Script, Summary, draw_script, find_scripts, summarise
+from survey_sim.plotting import RunTables, Script, Summary, draw_script, find_scripts, load_script, summarise
 from survey_sim.plotting.style import programme_lines, survey_colours
 from survey_sim.plotting.summary import QUANTITIES
 from survey_sim.schema import TABLES
 from survey_sim.survey.field import view_field
+from survey_sim.survey.workers import Workers
 
 # What stands in a table where there is no number: an en dash.
 NOTHING = "\u2013"
@@ -27,21 +28,43 @@ PAGE, STYLE, PLAYERS = "page.html.jinja", "page.css", "players"
 # Pixels of a screen to the inch, by which a figure is shown at the size for which it was drawn.
 SCREEN_DPI = 96
 
+# A figure's PNG, and its width and height in inches.
+Image = tuple[bytes, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Figures that one process draws: names of scripts in a folder, what they draw, and where to."""
+
+    names: tuple[str, ...]
+    reports: Path
+    run: RunTables
+    folder: Path
+
+    def draw(self) -> dict[str, Image]:
+        """Draw and save them; gives them by name."""
+        scripts = (load_script(self.reports / f"{name}.py") for name in self.names)
+        return {script.name: draw_script(script, self.run, self.folder) for script in scripts}
+
 
 @dataclass
 class Figures:
     """Figures drawn for a page; the page asks for them by name, and at its end for those that it has not named."""
 
-    run: RunTables
     scripts: Mapping[str, Script]
-    folder: Path
-    images: dict[str, tuple[bytes, tuple[float, float]]] = field(default_factory=dict)
+    images: dict[str, Image] = field(default_factory=dict)
     _shown: set[str] = field(default_factory=set)
 
-    def draw_all(self) -> None:
-        """Draw every figure, and save it."""
-        for name, script in self.scripts.items():
-            self.images[name] = draw_script(script, self.run, self.folder)
+    @classmethod
+    def drawn(cls, run: RunTables, reports: Path, folder: Path, workers: Workers) -> Self:
+        """All scripts of a folder, drawn and saved: by each worker of this machine some; a cluster may lack the files."""
+        figures = cls(find_scripts(reports))
+        near = workers if workers.scheduler is None else Workers()
+        n = max(1, near.n)
+        shares = [tuple(figures.scripts)[first::n] for first in range(n)]
+        for images in near.stream(Drawing.draw, [Drawing(names, reports, run, folder) for names in shares]):
+            figures.images |= images
+        return figures
 
     def show(self, name: str) -> Markup:
         """An HTML figure: the image itself, its title and its caption."""
@@ -65,8 +88,13 @@ def html_figure(script: Script, png: bytes, size_in: tuple[float, float]) -> Mar
     return Markup('<figure id="{}">{}{}</figure>').format(script.name, image, words)
 
 
-def make_report(run_dir: Path) -> Path:
+def make_report(run_dir: Path, workers: Workers | None = None) -> Path:
     """Draw all figures of a run and write its page, `report/index.html`; gives the page's path.
+
+    Parameters
+    ----------
+    workers
+        Who draws; by default this process.
 
     Raises
     ------
@@ -75,8 +103,7 @@ def make_report(run_dir: Path) -> Path:
     """
     run, reports = RunTables(run_dir), data_folder("reports")
     folder = run_dir / "report"
-    figures = Figures(run, find_scripts(reports), folder / "figures")
-    figures.draw_all()
+    figures = Figures.drawn(run, reports, folder / "figures", workers or Workers())
     summary = summarise(run)
     page = environment(reports).get_template(PAGE)
     text = page.render(

@@ -67,6 +67,10 @@ class Run:
         """File or folder of a table."""
         return self.folder / (name if TABLES[name].is_in_parts else f"{name}.parquet")
 
+    def name_of(self, path: Path) -> str:
+        """A file's name in the run's folder, the same wherever the folder is; the full path of one that is not in it."""
+        return path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else str(path.absolute())
+
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other runs out of the folder; the system drops the lock when the process ends, however it ends.

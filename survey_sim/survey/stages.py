@@ -212,7 +212,7 @@ def draw_report(run: Run) -> None:
     """Tables -> figures and the page."""
     from survey_sim.survey.report import make_report  # noqa: PLC0415
 
-    make_report(run.folder)
+    make_report(run.folder, run.workers)
 
 
 def catalogue_files(run: Run) -> list[Path]:

@@ -40,8 +40,8 @@ class Store:
         parts = sorted((run.state / "parts").glob("*.json")) if run.table("visits") in stage.needs else []
         content: dict[str, Any] = {
             "unchanged": {check.what: check.digests for check in stage.unchanged},
-            "needs": [(_name(run, path), tables.checksum(path)) for path in (*stage.needs, *parts)],
-            "makes": sorted(_name(run, path) for path in stage.makes),
+            "needs": [(run.name_of(path), tables.checksum(path)) for path in (*stage.needs, *parts)],
+            "makes": sorted(run.name_of(path) for path in stage.makes),
         }
         digest = sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         return self.folder / f"{stage.name}-{digest[:32]}"
@@ -134,8 +134,3 @@ def _link(source: Path, target: Path) -> None:
     except OSError:
         shutil.copyfile(source, temporary)
     temporary.replace(target)
-
-
-def _name(run: Run, path: Path) -> str:
-    """A file's name in the run's folder, the same for every run; its full path if it is not in it."""
-    return path.relative_to(run.folder).as_posix() if path.is_relative_to(run.folder) else path.as_posix()
