@@ -147,18 +147,20 @@ def untangled(field: Field, request: VisitRequest, held: IntArray) -> IntArray:
 
 
 def exchanged(
-    field: Field, request: VisitRequest, held: IntArray, robot: int, barred: Collection[int], *, may_lengthen: bool
+    field: Field, request: VisitRequest, held: IntArray, barred: Collection[tuple[int, int]], *, may_lengthen: bool
 ) -> IntArray | None:
-    """The targets that a visit holds, some barred to one robot: matched anew at least cost, as many as before.
+    """The targets that a visit holds, some barred to some robots: matched anew at least cost, as many as before.
 
     Guides may take other stars. None if a target would be lost, or if least travel is all that is wanted.
 
     Parameters
     ----------
+    barred
+        Pairs of robot and target.
     may_lengthen
         Whether ways may grow beyond the longest there are, from where the robots stand and from park.
     """
-    if held[robot] < 0 or field.settings.travel_power <= 1.0:
+    if field.settings.travel_power <= 1.0:
         return None
     kind, plate = field.targets.kind, field.plate
     is_open = request.is_open & (kind == GUIDE)
@@ -167,7 +169,7 @@ def exchanged(
     is_pair_open = request.is_pair_open & ~is_idle_guide[field.reach_robot]
     if not may_lengthen:
         is_pair_open &= _is_within_longest(field, request.start_mm, held) & _is_within_longest(field, plate.park_mm, held)
-    for target in barred:
+    for robot, target in barred:
         pairs = slice(field.reach_first[target], field.reach_first[target + 1])
         is_pair_open[pairs] &= field.reach_robot[pairs] != robot
     found = match(field, request.start_mm, is_open, is_pair_open, np.ones(len(is_open)))

@@ -1,6 +1,6 @@
 """The allocation of one tile, visit by visit, with what the router reports in between."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +14,7 @@ from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels import crossings, note_lost, place_idle, reach_lists
 from survey_sim.allocation.matching import choose_matching, exchanged
 from survey_sim.allocation.planning import Planner
+from survey_sim.allocation.resting import has_room, resting_places
 from survey_sim.allocation.settings import AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
 from survey_sim.extensions import load
@@ -146,23 +147,44 @@ class Session:
         return visit
 
     def exchanged(
-        self, visit: VisitAllocation, robot: int, barred: Collection[int], *, may_lengthen: bool
+        self, visit: VisitAllocation, barred: Collection[tuple[int, int]], *, may_lengthen: bool
     ) -> VisitAllocation | None:
-        """The visit that awaits its record again, some targets barred to a robot; None if one would be lost by it.
+        """The visit that awaits its record again, some targets barred to some robots; None if one would be lost by it.
 
         So a robot that holds a path up may be got out of the way. `record` takes the visit that is made.
 
         Parameters
         ----------
+        barred
+            Pairs of robot and target.
         may_lengthen
             Whether ways may grow beyond the longest there are, from where the robots stand and from park.
         """
+        if not self._may_exchange():
+            return None
+        held = exchanged(self.field, self._request, visit.target, barred, may_lengthen=may_lengthen)
+        return None if held is None else self._visit(held, visit.start)
+
+    def resting_places(self, visit: VisitAllocation, robot: int) -> FloatArray:
+        """(n, 2) other places where an idle robot of the visit that awaits its record may rest, the best first, mm."""
+        if not self._may_exchange():
+            return np.empty((0, 2))
+        return resting_places(self.field.plate, self._request.start_mm, visit.goal_mm, robot)
+
+    def rested(self, visit: VisitAllocation, places: Mapping[int, FloatArray]) -> VisitAllocation:
+        """The same visit, idle robots resting at these places (by robot), as far as there is room for them."""
+        plate, start_mm, goal_mm = self.field.plate, self._request.start_mm, visit.goal_mm.copy()
+        for robot, place in places.items():
+            if visit.target[robot] < 0 and has_room(plate, goal_mm, robot, place):
+                goal_mm[robot] = place
+        return _make_visit(
+            self.field, visit.visit_id, visit.target, start=visit.start, start_mm=start_mm, goal_mm=goal_mm
+        )  # fmt: skip
+
+    def _may_exchange(self) -> bool:
         if not self._awaits_record:
             raise RuntimeError("exchange robots between next_visit() and record()")
-        if self.field.settings.algorithm not in EXCHANGING:
-            return None
-        held = exchanged(self.field, self._request, visit.target, robot, barred, may_lengthen=may_lengthen)
-        return None if held is None else self._visit(held, visit.start)
+        return self.field.settings.algorithm in EXCHANGING
 
     def record(self, visit: VisitAllocation, is_arrived: BoolArray) -> None:
         """Take note of a visit that was made; targets of robots that did not arrive are open again, to other robots.

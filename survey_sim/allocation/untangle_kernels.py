@@ -146,14 +146,19 @@ def _remove(ways, r):
 
 
 @njit(cache=True)
+def _set_way(begin, x, y, unit, length, r):
+    """Fill in the unit (2,) of a robot's way to (x, y), and its length among those of all."""
+    dx, dy = x - begin[0], y - begin[1]
+    length[r] = np.hypot(dx, dy)
+    unit[0] = dx / length[r] if length[r] > 0.0 else 1.0
+    unit[1] = dy / length[r] if length[r] > 0.0 else 0.0
+
+
+@njit(cache=True)
 def _add(ways, r, x, y, has_target):
     """Bring in a robot's ways to (x, y); without a target it steps aside where others pass from where they stand."""
     for w in range(N_WAY):
-        dx, dy = x - ways.begin[w, r, 0], y - ways.begin[w, r, 1]
-        length = np.hypot(dx, dy)
-        ways.length[w, r] = length
-        ways.unit[w, r, 0] = dx / length if length > 0.0 else 1.0
-        ways.unit[w, r, 1] = dy / length if length > 0.0 else 0.0
+        _set_way(ways.begin[w, r], x, y, ways.unit[w, r], ways.length[w], r)
     ways.is_seen[0, r] = has_target or ways.is_fixed[r]
     ways.is_seen[1, r] = True
     _note_tangles(ways, r, 1.0)
@@ -370,3 +375,42 @@ def untangle(
             best_held[:] = held
     held[:] = best_held
     return at_first, best_tangle
+
+
+@njit(cache=True)
+def tangles_of_places(start_xy, park_xy, is_live, goal_xy, radius, robot, places):
+    """(n_place,) sum of a robot's tangles were it to go to each of these places; inf where no way is as long as that.
+
+    Parameters
+    ----------
+    start_xy, park_xy, goal_xy
+        (n_robot, 2) mm: where all robots stand, park and shall go.
+    radius
+        Least separation, mm.
+    places
+        (n_place, 2) mm.
+    """
+    n_robot = len(goal_xy)
+    begin = np.empty((N_WAY, n_robot, 2))
+    begin[0], begin[1] = start_xy, park_xy
+    unit, length, longest = np.zeros((N_WAY, n_robot, 2)), np.zeros((N_WAY, n_robot)), np.zeros(N_WAY)
+    for w in range(N_WAY):
+        for r in range(n_robot):
+            if not is_live[r]:
+                begin[w, r] = start_xy[r]
+            _set_way(begin[w, r], goal_xy[r, 0], goal_xy[r, 1], unit[w, r], length[w], r)
+            if r != robot:
+                longest[w] = max(longest[w], length[w, r])
+    ways = Ways(
+        begin, unit, length, longest, ~is_live, np.ones((N_WAY, n_robot), np.bool_), radius, np.zeros(n_robot)
+    )  # fmt: skip
+    total = np.zeros(len(places))
+    for k in range(len(places)):
+        for w in range(N_WAY):
+            _set_way(begin[w, robot], places[k, 0], places[k, 1], unit[w, robot], length[w], robot)
+            if length[w, robot] > longest[w]:
+                total[k] = np.inf
+            for q in range(n_robot):
+                if q != robot and total[k] < np.inf:
+                    total[k] += _pair_tangle(ways, w, robot, q)
+    return total

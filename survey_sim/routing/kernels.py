@@ -1178,11 +1178,11 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
             break
         else:
             failed = trial
-            more *= 2.0
-            if more > MOST_STRIDES * unit:
-                return low
             if found < np.inf:
                 copy_plans(kept, pair)
+            elif more > MOST_STRIDES * unit:
+                return low
+            more *= 2.0
     for k, m in ((0, i), (1, j)):
         if plans.robot[m].is_free:
             set_plan(plans, m, kept.plan[k], separation, margin)

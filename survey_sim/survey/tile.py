@@ -23,6 +23,7 @@ from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import SimulationSettings, execute, simulate
+from survey_sim.survey.exchanges import cost_of, least_costly
 from survey_sim.survey.rows import PlayedPath, TileRows
 from survey_sim.tiling import Planned
 
@@ -30,8 +31,10 @@ from survey_sim.tiling import Planned
 PLAN_KEPT_FRAC = 0.99
 # More visits than planned that a tile may make for what calibration displaced: a galaxy loses all five for one.
 MOST_VISITS_MORE = 3
-# Exchanges tried for a visit on which a robot holds a path up, with no longer ways and with longer ones.
-N_EXCHANGE = 5
+# Exchanges tried for a visit in which robots hold a path up.
+N_EXCHANGE = 24
+# Times that the paths of a visit are routed again, by other random steps, where exchanges leave one above its bound.
+N_AGAIN = 6
 # What tables say of each `UnroutedReason`.
 REASON_CODES = np.array([None if reason == UnroutedReason.ARRIVED else reason.code for reason in UnroutedReason])
 
@@ -90,17 +93,30 @@ class Routes:
         return State(self.to_target.end_mm, self.to_target.end_theta_deg)
 
     @property
-    def cost(self) -> tuple[int, float]:
-        """Robots that do not arrive, and the time of all three, s."""
-        paths = (self.to_target, self.from_park, self.home)
-        n_unrouted = sum(int((path.reason != UnroutedReason.ARRIVED).sum()) for path in paths)
-        return n_unrouted, sum(path.configuration_time_s for path in paths)
-
-    @property
-    def blamed(self) -> list[int]:
+    def blamed(self) -> tuple[int, ...]:
         """Robots that do not reach their targets, then those to blame where a path takes longer than its bound."""
         lost = np.flatnonzero(self.to_target.reason != UnroutedReason.ARRIVED).tolist()
-        return [*lost, *self.to_target.held_up, *self.from_park.held_up, *self.home.held_up]
+        return tuple(dict.fromkeys([*lost, *self.to_target.held_up, *self.from_park.held_up, *self.home.held_up]))
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A visit that was routed, the (robot, target) pairs barred to get there, and where idle robots were told to rest."""
+
+    visit: VisitAllocation
+    routes: Routes
+    barred: frozenset[tuple[int, int]]
+    places: Mapping[int, FloatArray]
+
+    @property
+    def cost(self) -> tuple[int, float]:
+        """Robots that do not arrive, and the time of all three paths, s."""
+        return cost_of(self.routes.to_target, self.routes.from_park, self.routes.home)
+
+    @property
+    def blamed(self) -> tuple[int, ...]:
+        """Robots that are in the way, or do not arrive."""
+        return self.routes.blamed
 
 
 def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:
@@ -271,40 +287,58 @@ def _settle(
 ) -> tuple[VisitAllocation, Routes]:
     """A visit, and its routes, after robots that hold a path up, or do not arrive, have exchanged targets with others.
 
-    Each target that such a robot has held is barred to it, and what it is given instead is tried next, first with no way
-    longer than the longest there is. What reaches more, or saves time, is kept.
+    The target of such a robot is barred to it, and what all are given instead is tried, first with no way longer than the
+    longest there is; an idle one rests elsewhere. Bars add up from exchange to exchange.
     """
-    routes = _routes(job, number, visit, start)
-    for may_lengthen in (False, True):
-        barred: dict[int, set[int]] = {}
-        for _ in range(N_EXCHANGE):
-            blamed = [robot for robot in routes.blamed if -1 not in barred.setdefault(robot, {int(visit.target[robot])})]
-            if not blamed:
-                break
-            robot = min(blamed, key=lambda robot: len(barred[robot]))
-            other = session.exchanged(visit, robot, barred[robot], may_lengthen=may_lengthen)
-            barred[robot].add(-1 if other is None else int(other.target[robot]))
-            if other is not None and (found := _routes(job, number, other, start)).cost < routes.cost:
-                visit, routes = other, found
-    return visit, routes
+
+    def others(settled: Settled) -> Iterator[Settled | None]:
+        for may_lengthen in (False, True):
+            for robot in settled.blamed:
+                target = int(settled.visit.target[robot])
+                if target >= 0:
+                    barred = settled.barred | {(robot, target)}
+                    yield tried(session.exchanged(visit, barred, may_lengthen=may_lengthen), barred, settled.places)
+                elif may_lengthen:
+                    for place in session.resting_places(settled.visit, robot):
+                        yield tried(settled.visit, settled.barred, {**settled.places, robot: place})
+
+    def tried(
+        other: VisitAllocation | None, barred: frozenset[tuple[int, int]], places: Mapping[int, FloatArray]
+    ) -> Settled | None:
+        if other is None:
+            return None
+        other = session.rested(other, places) if places else other
+        key = other.goal_mm.tobytes()
+        if key in known:
+            return None
+        known.add(key)
+        return Settled(other, _routes(job, number, other, start), barred, places)
+
+    known = {visit.goal_mm.tobytes()}
+    first = Settled(visit, _routes(job, number, visit, start), frozenset(), {})
+    best = least_costly(first, others, N_EXCHANGE)
+    if best.blamed:
+        again = (replace(best, routes=_routes(job, number, best.visit, start, attempt)) for attempt in range(1, N_AGAIN + 1))
+        best = min(best, *again, key=lambda tried: tried.cost)
+    return best.visit, best.routes
 
 
-def _routes(job: TileJob, number: int, visit: VisitAllocation, start: State) -> Routes:
-    to_target = _route(job, number, "start_to_target", start, visit.goal_mm)
+def _routes(job: TileJob, number: int, visit: VisitAllocation, start: State, attempt: int = 0) -> Routes:
+    to_target = _route(job, number, "start_to_target", start, visit.goal_mm, attempt)
     end = State(to_target.end_mm, to_target.end_theta_deg)
-    from_park = _route(job, number, "park_to_target", _park(job.plate), end.position_mm)
-    return Routes(to_target, from_park, _to_park(job, number + 1, end))
+    from_park = _route(job, number, "park_to_target", _park(job.plate), end.position_mm, attempt)
+    return Routes(to_target, from_park, _to_park(job, number + 1, end, attempt))
 
 
-def _to_park(job: TileJob, number: int, state: State) -> RoutedPath:
+def _to_park(job: TileJob, number: int, state: State, attempt: int = 0) -> RoutedPath:
     """From here to park; dead robots stay."""
     goal_mm = np.where(job.plate.is_live[:, None], job.plate.park_mm, state.position_mm)
-    return _route(job, number, "start_to_park", state, goal_mm)
+    return _route(job, number, "start_to_park", state, goal_mm, attempt)
 
 
-def _route(job: TileJob, number: int, path: str, start: State, goal_mm: FloatArray) -> RoutedPath:
+def _route(job: TileJob, number: int, path: str, start: State, goal_mm: FloatArray, attempt: int = 0) -> RoutedPath:
     """Route one path of the visit with this number."""
-    rng = _stream(job, "routing", number, path)
+    rng = _stream(job, "routing", number, path, *([attempt] if attempt else []))
     return route(job.plate, start.position_mm, start.theta_deg, goal_mm, job.routing, rng)
 
 
