@@ -151,23 +151,48 @@ def _exchange_session(algorithm="matching", **values):
 def test_a_target_barred_to_its_robot_goes_to_another(algorithm):
     session, visit = _exchange_session(algorithm)
     assert visit.target.tolist() == [0, 1, 2]
-    assert session.exchanged(visit, 0, {0}, may_lengthen=False) is None
-    other = session.exchanged(visit, 0, {0}, may_lengthen=True)
+    assert session.exchanged(visit, {(0, 0)}, may_lengthen=False) is None
+    other = session.exchanged(visit, {(0, 0)}, may_lengthen=True)
     assert other.target.tolist() == [1, 0, 2]
     np.testing.assert_array_equal(other.goal_mm[0], [25.0, 0.0])
     # Both that it could hold: then one would be lost. The third's is in nobody else's reach.
-    assert session.exchanged(visit, 0, {0, 1}, may_lengthen=True) is None
-    assert session.exchanged(visit, 2, {2}, may_lengthen=True) is None
+    assert session.exchanged(visit, {(0, 0), (0, 1)}, may_lengthen=True) is None
+    assert session.exchanged(visit, {(0, 0), (1, 0)}, may_lengthen=True) is None
+    assert session.exchanged(visit, {(2, 2)}, may_lengthen=True) is None
     session.record(other, np.ones(3, dtype=bool))
     assert session.is_complete.all()
     with pytest.raises(RuntimeError, match="between"):
-        session.exchanged(other, 0, {1}, may_lengthen=True)
+        session.exchanged(other, {(0, 1)}, may_lengthen=True)
 
 
 @pytest.mark.parametrize("values", [{"algorithm": "cda-basic"}, {"travel_power": 1.0}])
 def test_what_has_rules_of_its_own_is_not_exchanged(values):
     session, visit = _exchange_session(**values)
-    assert session.exchanged(visit, 0, {0}, may_lengthen=True) is None
+    assert session.exchanged(visit, {(0, 0)}, may_lengthen=True) is None
+
+
+def test_an_idle_robot_rests_out_of_the_others_way():
+    """Robot 1 is in the way where it stands, with a target for robot 0 alone that displaces it; it rests beside its line."""
+    plate = plate_of([(0.0, 0.0), (30.0, 0.0)])
+    targets = field_targets([(22.0, 0.0)])
+    session = start_allocation(
+        targets, plate, AllocationSettings.load({"algorithm": "matching", "visits": 1, "travel_power": 4.0}), np.random.default_rng(1)
+    )
+    visit = session.next_visit(np.array([[0.0, 0.0], [16.0, 0.0]]))
+    assert sorted(visit.target.tolist()) == [-1, 0]
+    idle = int(np.flatnonzero(visit.target < 0)[0])
+    places = session.resting_places(visit, idle)
+    assert len(places)
+    for place in places:
+        rested = session.rested(visit, {idle: place})
+        np.testing.assert_array_equal(rested.goal_mm[idle], place)
+        np.testing.assert_array_equal(rested.goal_mm[1 - idle], visit.goal_mm[1 - idle])
+        assert np.hypot(*(rested.goal_mm[0] - rested.goal_mm[1])) >= 9.0
+        assert np.hypot(*(place - plate.park_mm[idle])) <= plate.patrol_radius_mm[idle]
+        assert np.hypot(*(place - visit.goal_mm[idle])) >= 3.0
+    # Who holds a target keeps it, and a place without room is left alone.
+    np.testing.assert_array_equal(session.rested(visit, {1 - idle: places[0]}).goal_mm, visit.goal_mm)
+    np.testing.assert_array_equal(session.rested(visit, {idle: visit.goal_mm[1 - idle]}).goal_mm, visit.goal_mm)
 
 
 @given(seed=st.integers(0, 2**32 - 1), may_lengthen=st.booleans())
@@ -182,7 +207,7 @@ def test_exchanges_keep_targets_reach_and_separation(seed, may_lengthen):
     session = start_allocation(targets, plate, settings_, rng)
     visit = session.next_visit(plate.park_mm)
     robot = int(rng.choice(np.flatnonzero(visit.target >= 0)))
-    other = session.exchanged(visit, robot, {int(visit.target[robot])}, may_lengthen=may_lengthen)
+    other = session.exchanged(visit, {(robot, int(visit.target[robot]))}, may_lengthen=may_lengthen)
     if other is None:
         return
     assert other.target[robot] != visit.target[robot]

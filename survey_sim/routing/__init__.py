@@ -104,5 +104,5 @@ def _result(problem: Problem, solution: Solution) -> RoutedPath:
         end_theta_deg=end_theta,
         lower_bound_s=bound_s,
         configuration_time_s=time_s,
-        held_up=(slow_pair or (int(legs.robot[np.argmax(rest_s)]),)) if is_above else (),
+        held_up=tuple(dict.fromkeys([*slow_pair, int(legs.robot[np.argmax(rest_s)])])) if is_above else (),
     )

@@ -1194,7 +1194,7 @@ def least_of_pairs(phys, plans, rng, low, effort, separation, margin, slow_pair)
     """Least duration from `low` on in which each pair now in conflict is found to do without one, were it alone.
 
     A pair that cannot do in the present duration is in conflict whatever the others do, so no other pair need be looked at.
-    Where that is longer, `slow_pair` (2,) is filled with the pair that needs it.
+    Where that is longer, `slow_pair` (2,) is filled with the pair that needs it; with the first in conflict if it is empty.
     """
     n = len(plans.robot)
     n_pair = 0
@@ -1204,6 +1204,8 @@ def least_of_pairs(phys, plans, rng, low, effort, separation, margin, slow_pair)
             if plans.conflict[i, j] and n_pair < MAX_PAIRS:
                 pairs[n_pair, 0], pairs[n_pair, 1] = i, j
                 n_pair += 1
+    if n_pair > 0 and slow_pair[0] < 0:
+        slow_pair[:] = pairs[0]
     for k in range(n_pair):
         least = least_of_pair(phys, plans, rng, pairs[k, 0], pairs[k, 1], low, effort, separation, margin)
         if least > low:

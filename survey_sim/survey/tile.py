@@ -21,6 +21,7 @@ from survey_sim.allocation import (
 )
 from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
+from survey_sim.motion import alone_time_s
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import SimulationSettings, execute, simulate
 from survey_sim.survey.exchanges import cost_of, least_costly
@@ -309,18 +310,29 @@ def _settle(
             return None
         other = session.rested(other, places) if places else other
         key = other.goal_mm.tobytes()
-        if key in known:
+        if key in costs or (0, _least_s(job, other, start)) > min(costs.values()):
             return None
-        known.add(key)
-        return Settled(other, _routes(job, number, other, start), barred, places)
+        settled = Settled(other, _routes(job, number, other, start), barred, places)
+        costs[key] = settled.cost
+        return settled
 
-    known = {visit.goal_mm.tobytes()}
     first = Settled(visit, _routes(job, number, visit, start), frozenset(), {})
+    costs = {visit.goal_mm.tobytes(): first.cost}
     best = least_costly(first, others, N_EXCHANGE)
     if best.blamed:
         again = (replace(best, routes=_routes(job, number, best.visit, start, attempt)) for attempt in range(1, N_AGAIN + 1))
         best = min(best, *again, key=lambda tried: tried.cost)
     return best.visit, best.routes
+
+
+def _least_s(job: TileJob, visit: VisitAllocation, start: State) -> float:
+    """Time that the paths of a visit take together, at the least: none is turned on the way home."""
+    instrument, park = job.plate.instrument, _park(job.plate)
+    alone_s = [
+        alone_time_s(instrument, state.position_mm, state.theta_deg, visit.goal_mm).max() for state in (start, park)
+    ]
+    home_s = np.hypot(*(visit.goal_mm - park.position_mm)[job.plate.is_live].T).max() / instrument.coarse_speed_mm_s
+    return float(sum(alone_s) + home_s)
 
 
 def _routes(job: TileJob, number: int, visit: VisitAllocation, start: State, attempt: int = 0) -> Routes:

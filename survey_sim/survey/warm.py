@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
+from survey_sim.allocation.resting import resting_places
 from survey_sim.check import check_run
 from survey_sim.survey.engine import load_stages
 from survey_sim.survey.run import open_run
@@ -31,6 +32,8 @@ def compile_kernels() -> None:
     """Run and check a survey of one tile and 300 stars in a temporary folder."""
     with TemporaryDirectory(prefix="survey-sim-") as name:
         run = open_run(write_specimen(Path(name), _SECTIONS), Workers(), Path(name) / "run")
+        # The specimen's robots need not be in each other's way.
+        resting_places(run.plate, run.plate.park_mm, run.plate.park_mm, 0)
         with run.locked():
             for stage in load_stages(run):
                 if stage.name != "report":

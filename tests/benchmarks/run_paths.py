@@ -33,8 +33,8 @@ def row(name: str, paths: pl.DataFrame) -> str:
 def main(n_tile: int = 40) -> None:
     """Print a row a path, with exchanges and without."""
     print("| paths | number | at bound % | ratio p99.9 | max | mean time s | unrouted |\n|---|---|---|---|---|---|---|")
-    for what, n_exchange in (("with exchanges", tile.N_EXCHANGE), ("without", 0)):
-        tile.N_EXCHANGE = n_exchange
+    for what, n_exchange, n_again in (("with exchanges", tile.N_EXCHANGE, tile.N_AGAIN), ("without", 0, 0)):
+        tile.N_EXCHANGE, tile.N_AGAIN = n_exchange, n_again
         made = [tile.simulate_tile(tile_job(N_SCIENCE, tile_id=k))["paths"] for k in track(range(n_tile), what)]
         paths = pl.concat(made)
         for path in ("start_to_target", "park_to_target", "start_to_park"):
