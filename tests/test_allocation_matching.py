@@ -175,9 +175,8 @@ def test_an_idle_robot_rests_out_of_the_others_way():
     """Robot 1 is in the way where it stands, with a target for robot 0 alone that displaces it; it rests beside its line."""
     plate = plate_of([(0.0, 0.0), (30.0, 0.0)])
     targets = field_targets([(22.0, 0.0)])
-    session = start_allocation(
-        targets, plate, AllocationSettings.load({"algorithm": "matching", "visits": 1, "travel_power": 4.0}), np.random.default_rng(1)
-    )
+    settings_ = AllocationSettings.load({"algorithm": "matching", "visits": 1})
+    session = start_allocation(targets, plate, settings_, np.random.default_rng(1))
     visit = session.next_visit(np.array([[0.0, 0.0], [16.0, 0.0]]))
     assert sorted(visit.target.tolist()) == [-1, 0]
     idle = int(np.flatnonzero(visit.target < 0)[0])

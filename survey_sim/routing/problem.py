@@ -76,8 +76,8 @@ class Solution(NamedTuple):
     legs, reason
         Legs of the robots that move; (n_robot,) int8 codes of `UnroutedReason`.
     slow_pair
-        The two robots that need longest, were they alone, or, if none does, two that were still in conflict when the search at
-        the bound ended; empty where it succeeded, or is not known.
+        The two robots that need longest, were they alone, or, if none does, two that were still in conflict when the search
+        at the bound ended; empty where it succeeded, or is not known.
     """
 
     legs: Legs
@@ -102,8 +102,8 @@ class RoutedPath:
     configuration_time_s
         When the last robot comes to rest.
     held_up
-        Where that is later than the bound, the robots to blame: the two of `Solution.slow_pair`, if the router knows any, and
-        the one that comes last. Empty at the bound.
+        Where that is later than the bound, the robots to blame: the two of `Solution.slow_pair`, if the router knows any,
+        and the one that comes last. Empty at the bound.
     """
 
     legs: Legs

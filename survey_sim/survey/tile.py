@@ -328,9 +328,7 @@ def _settle(
 def _least_s(job: TileJob, visit: VisitAllocation, start: State) -> float:
     """Time that the paths of a visit take together, at the least: none is turned on the way home."""
     instrument, park = job.plate.instrument, _park(job.plate)
-    alone_s = [
-        alone_time_s(instrument, state.position_mm, state.theta_deg, visit.goal_mm).max() for state in (start, park)
-    ]
+    alone_s = [alone_time_s(instrument, state.position_mm, state.theta_deg, visit.goal_mm).max() for state in (start, park)]
     home_s = np.hypot(*(visit.goal_mm - park.position_mm)[job.plate.is_live].T).max() / instrument.coarse_speed_mm_s
     return float(sum(alone_s) + home_s)
 
