@@ -85,6 +85,32 @@ def test_a_visit_that_the_survey_can_do_without_is_given_up() -> None:
     assert pool.is_done.tolist() == [True, True, True, True, False]
 
 
+def test_what_was_tried_and_has_not_changed_since_is_not_planned_again() -> None:
+    """Six tiles, apart from each other, of which the survey may lose a few targets: every order is a new one."""
+    tiles = [list(range(5 * t, 5 * t + 1 + t % 5)) for t in range(6)]
+    targets = {target: number for number, target in enumerate(target for tile in tiles for target in tile)}
+    home = [t for t, tile in enumerate(tiles) for _ in tile]
+    pool = _pool([[targets[i] for i in tile] for tile in tiles], home, wanted_frac=0.7)
+    asked = []
+
+    def planner(orders: Sequence[Order]) -> list[Planned]:
+        asked.extend((o.tile, o.row.tobytes(), o.n_visit.tobytes(), o.kept.row.tobytes()) for o in orders)
+        return _first_come(orders)
+
+    pool_visits(pool, planner)
+    assert pool.is_done.mean() >= 0.7
+    assert len(asked) > 6
+    assert len(set(asked)) == len(asked)
+
+
+def test_fibres_are_left_for_calibration_that_is_to_be_had() -> None:
+    rules = _rules(wanted_standard=4, wanted_sky=20)
+    n_science = PLATE.n_science_live
+    assert rules.capacity == n_science - 24
+    assert rules.among({"science", "sky"}).capacity == n_science - 20
+    assert rules.among({"science"}).capacity == n_science
+
+
 def test_tiles_of_a_colour_share_no_target() -> None:
     rng = np.random.default_rng(5)
     tiles = [np.sort(rng.choice(60, 8, replace=False)) for _ in range(20)]

@@ -2,20 +2,15 @@
 
 import numpy as np
 
-from survey_sim.allocation.field import BoolArray, VisitRequest, make_field
+from survey_sim.allocation.field import BoolArray, Field, VisitRequest
 from survey_sim.allocation.planning import MEND_EFFORT_FRAC, VALUE_UNIT, Search
-from survey_sim.allocation.settings import AllocationSettings
-from survey_sim.allocation.targets import FieldTargets
-from survey_sim.instrument import Plate
 
 # Times that the worth of programmes which lack targets is doubled, while others have theirs.
 N_FAVOUR = 2
 
 
 def plan_visits(
-    targets: FieldTargets,
-    plate: Plate,
-    settings: AllocationSettings,
+    field: Field,
     is_open: BoolArray,
     n_visit: int,
     kept: BoolArray,
@@ -26,8 +21,8 @@ def plan_visits(
 
     Parameters
     ----------
-    targets
-        Science targets and guides; the other kinds need no place in the plan, only fibres.
+    field
+        Of science targets and guides; the other kinds need no place in the plan, only fibres.
     is_open
         (n_target,) science targets that may be planned; all of the other kinds may be.
     n_visit
@@ -41,7 +36,7 @@ def plan_visits(
     -------
         (n_target, n_visit) science targets planned; only those that get all visits that they want.
     """
-    field = make_field(targets, plate, settings)
+    targets, plate = field.targets, field.plate
     is_free = field.is_on_plate & ~field.blocked_by(plate.park_mm[~plate.is_live]) & (is_open | ~targets.is_science)
     missing = np.where(targets.is_science & is_free, targets.wanted_visits, 0)
     request = VisitRequest(0, plate.park_mm, is_free, np.ones(len(field.reach_robot), dtype=bool), missing)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from survey_sim.allocation import AllocationSettings, FieldTargets, plan_visits
+from survey_sim.allocation import AllocationSettings, FieldTargets, make_field, part_of_field, plan_visits
 from survey_sim.geometry import sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.survey.tile import last_group, magnitude_groups, planned_visits, stream, subset
@@ -18,8 +18,9 @@ from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pa
 
 IntArray = npt.NDArray[np.int64]
 
-# Tiles that a worker plans at a time, at most.
+# Tiles that a worker plans at a time, at most, where there are so many tasks for each of few workers.
 _TILES_A_TASK = 4
+_MANY_TASKS = 12
 # Columns of a plan; visits are counted in their group, a range of magnitudes.
 PLAN = {"survey": pl.String, "tile_id": pl.Int32, "group": pl.Int32, "visit": pl.Int32, "target_id": pl.Int64}
 
@@ -39,6 +40,16 @@ class PoolRules:
     plate: Plate
     allocation: AllocationSettings
     seed: int
+
+    @property
+    def capacity(self) -> int:
+        """Science fibres of a visit: those that calibration does not need."""
+        return self.plate.n_science_live - self.allocation.wanted_standard - self.allocation.wanted_sky
+
+    def among(self, kinds: Collection[str]) -> PoolRules:
+        """The rules where only these kinds of targets are to be had: the others need no fibres."""
+        absent = {f"wanted_{kind}": 0 for kind in ("standard", "sky") if kind not in kinds}
+        return replace(self, allocation=self.allocation.model_copy(update=absent))
 
 
 @dataclass(frozen=True)
@@ -70,7 +81,6 @@ class _Task:
     """Tiles that a worker plans at a time."""
 
     rules: PoolRules
-    capacity: int
     orders: tuple[_TileOrder, ...]
     place: int
 
@@ -108,11 +118,11 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
     tiles
         Rows of `tiles` of the survey.
     """
-    capacity = _capacity(rules, targets["kind"])
+    rules = rules.among(targets["kind"].unique().to_list())
     targets = targets.filter(pl.col("kind").is_in(["science", "guide"]))
     known = FieldTargets.from_table(targets.with_columns(x_mm=pl.lit(0.0), y_mm=pl.lit(0.0)), rules.wanted_frac)
     row = np.flatnonzero(known.is_science)
-    pool = _begin(rules, targets[row], subset(known, row), tiles, capacity)
+    pool = _begin(rules, targets[row], subset(known, row), tiles)
     shared = members(tiles, targets, rules.plate.instrument.field_radius_deg)
     centres = tiles.select("ra_deg", "dec_deg").rows()
     sky_deg = targets.select("ra_deg", "dec_deg").to_numpy()
@@ -122,11 +132,17 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
         asked = []
         for order in orders:
             some = np.sort(np.concatenate([row[order.row], shared.of(order.tile)]))
-            kept = replace(order.kept, row=target_id[order.kept.row])
             asked.append(
-                _TileOrder(order.tile, centres[order.tile], subset(known, some), sky_deg[some], order.n_visit, kept)
+                _TileOrder(
+                    tile_id=order.tile,
+                    centre_deg=centres[order.tile],
+                    targets=subset(known, some),
+                    sky_deg=sky_deg[some],
+                    n_visit=order.n_visit,
+                    kept=replace(order.kept, row=target_id[order.kept.row]),
+                )
             )
-        tasks = [_Task(rules, capacity, tuple(some), place) for place, some in enumerate(_chunks(asked, _TILES_A_TASK))]
+        tasks = [_Task(rules, some, place) for place, some in enumerate(_chunks(asked))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
         return [replace(plan, row=np.searchsorted(target_id, plan.row)) for _, plans in done for plan in plans]
 
@@ -134,7 +150,7 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
     return pool
 
 
-def _begin(rules: PoolRules, science: pl.DataFrame, known: FieldTargets, tiles: pl.DataFrame, capacity: int) -> Pool:
+def _begin(rules: PoolRules, science: pl.DataFrame, known: FieldTargets, tiles: pl.DataFrame) -> Pool:
     return make_pool(
         plate_pairs(science, tiles, rules.plate.instrument.field_radius_deg),
         science["tile_id"].to_numpy().astype(np.int64),
@@ -143,7 +159,7 @@ def _begin(rules: PoolRules, science: pl.DataFrame, known: FieldTargets, tiles: 
         programme=known.programme,
         wanted_visits=known.wanted_visits,
         wanted_frac=known.wanted_frac,
-        capacity=capacity,
+        capacity=rules.capacity,
         min_gain=rules.allocation.min_gain,
     )
 
@@ -161,36 +177,32 @@ def _plan_table(survey: str, pool: Pool, target_id: IntArray) -> pl.DataFrame:
     )
 
 
-def _capacity(rules: PoolRules, kinds: pl.Series) -> int:
-    """Science fibres of a visit: those that calibration does not need."""
-    settings, known = rules.allocation, set(kinds.unique())
-    n_standard = settings.wanted_standard if "standard" in known else 0
-    n_sky = settings.wanted_sky if "sky" in known else 0
-    return rules.plate.n_science_live - n_standard - n_sky
-
-
-def _chunks(orders: list[_TileOrder], n: int) -> Iterator[list[_TileOrder]]:
+def _chunks(orders: Sequence[_TileOrder]) -> Iterator[tuple[_TileOrder, ...]]:
+    """Orders of a task: few where there are few, so that no worker waits long for another."""
+    n = min(max(1, len(orders) // _MANY_TASKS), _TILES_A_TASK)
     for begin in range(0, len(orders), n):
-        yield orders[begin : begin + n]
+        yield tuple(orders[begin : begin + n])
 
 
 def _plan_task(task: _Task) -> tuple[int, list[Planned]]:
-    return task.place, [_plan_tile(task.rules, task.capacity, order) for order in task.orders]
+    return task.place, [_plan_tile(task.rules, order) for order in task.orders]
 
 
-def _plan_tile(rules: PoolRules, capacity: int, order: _TileOrder) -> Planned:
+def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
     """Plan the visits of one tile, group after group; rows are target ids."""
     scale = rules.plate.instrument.plate_scale_arcsec_mm
     x_mm, y_mm = sky_to_plate(order.sky_deg[:, 0], order.sky_deg[:, 1], order.centre_deg, scale).T.copy()
     field = replace(order.targets, x_mm=x_mm, y_mm=y_mm)
     rng = stream(rules.seed, "pool", rules.survey, order.tile_id)
+    lists = make_field(field, rules.plate, rules.allocation)
     is_done = np.zeros(field.n_target, dtype=np.bool_)
     parts = [Planned.empty()]
     for group, (chosen, part) in enumerate(magnitude_groups(field, rules.allocation.mag_ranges)):
         if order.n_visit[group]:
             n_visit = int(order.n_visit[group])
             kept = planned_visits(part.target_id, order.kept, group, n_visit)
-            planned = plan_visits(part, rules.plate, rules.allocation, ~is_done[chosen], n_visit, kept, capacity, rng)
+            of_group = part_of_field(lists, chosen, part, rules.allocation)
+            planned = plan_visits(of_group, ~is_done[chosen], n_visit, kept, rules.capacity, rng)
             target, visit = np.nonzero(planned)
             is_done[chosen[target]] = True
             parts.append(Planned(part.target_id[target], np.full(len(target), group), visit))

@@ -56,6 +56,11 @@ class Order:
     n_visit: IntArray
     kept: "Planned"
 
+    def is_same(self, other: "Order") -> bool:
+        """Whether another order asks for the same, and so gets the same plan."""
+        arrays = ((self.row, other.row), (self.n_visit, other.n_visit))
+        return self.tile == other.tile and self.kept is other.kept and all(np.array_equal(*pair) for pair in arrays)
+
 
 @dataclass(frozen=True)
 class Planned:
@@ -273,7 +278,8 @@ def pool_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
     Parameters
     ----------
     plan_tiles
-        Plans of several tiles, in the order asked: the only work that takes time, and may be done in parallel.
+        Plans of several tiles, in the order asked: the only work that takes time, and may be done in parallel. A plan
+        follows from its order alone.
     """
     _sweep(pool, np.ones(pool.n_tile, dtype=np.bool_), plan_tiles)
     _grow(pool, plan_tiles)
@@ -325,8 +331,12 @@ def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
 
 
 def _shrink(pool: Pool, plan_tiles: PlanTiles) -> None:
-    """Give up the visits that bring the fewest targets, as far as the survey can spare them."""
+    """Give up the visits that bring the fewest targets, as far as the survey can spare them.
+
+    What was tried before and nothing has changed since is not planned again: half of all trials on a dense survey.
+    """
     least = np.zeros(pool.n_visit.shape)
+    tried: dict[int, tuple[Order, Planned]] = {}
     for _ in range(_MAX_ROUNDS):
         loss = np.maximum(pool.capacity - pool.idle(), least).astype(np.float64)
         loss[pool.n_visit == 0] = np.inf
@@ -334,8 +344,10 @@ def _shrink(pool: Pool, plan_tiles: PlanTiles) -> None:
         tiles = np.argsort(loss, kind="stable")[: max(4, round(_TRIED_FRAC * pool.n_tile))]
         tiles = tiles[np.isfinite(loss[tiles])]
         orders = [pool.order(int(t), is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
+        new = [order for order in orders if order.tile not in tried or not order.is_same(tried[order.tile][0])]
+        tried |= {order.tile: (order, planned) for order, planned in zip(new, plan_tiles(new), strict=True)}
         trials = []
-        for order, planned in zip(orders, plan_tiles(orders), strict=True):
+        for order, planned in (tried[order.tile] for order in orders):
             own = pool.own(order.tile)
             lost = own[pool.is_done[own] & ~np.isin(own, planned.row)]
             least[order.tile, group[order.tile]] = len(lost)
