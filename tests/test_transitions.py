@@ -14,10 +14,17 @@ from survey_sim.survey.tile import State, stream
 from survey_sim.survey.transitions import Configurations, PlateRobots, Ways, chains
 from survey_sim.survey.workers import Workers
 from tests import naive_transitions
+from tests.fields import random_field
 
 N_SCIENCE = 5
 DEAD = 2
 SEPARATION = 9.0
+
+
+@pytest.fixture(autouse=True)
+def _without_exchanges(monkeypatch):
+    """Each pointing as it is matched, but for the tests of exchanges."""
+    monkeypatch.setattr(chains, "N_EXCHANGE", 0)
 
 
 @pytest.fixture(scope="module")
@@ -250,3 +257,48 @@ def test_robots_that_are_not_routed_lose_their_targets(plate, tmp_path):
     stayed = {robot - 1: (x, y) for robot, x, y in lost.select("robot_id", "x_mm", "y_mm").iter_rows()}
     assert all(tuple(start.position_mm[robot]) == place for robot, place in stayed.items())
     assert result.frames["exposure_paths"]["unrouted"].to_list() == [len(lost)]
+
+
+def test_robots_that_hold_a_pointing_up_exchange_targets(monkeypatch):
+    """Every target of the visit held by a robot that may; more pointings at the bound."""
+    plate = make_plate(load_instrument("taipan-150", {"n_science": 60}))
+    routing = RoutingSettings()
+    jobs = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        start, end = (random_field(plate, plate.park_mm, rng).goal_mm for _ in range(2))
+        has_target = rng.random(plate.n_robot) < 0.7
+        target_id = np.where(has_target, np.arange(plate.n_robot), -1)
+        goal = chains.Goal(("a", 0, seed), target_id, np.where(has_target, 0, -1).astype(np.int8), end, 4.0)
+        jobs.append(chains.ChainJob(State(start, np.zeros(plate.n_robot)), (str(seed),), (goal,)))
+    made = []
+    for n_exchange in (0, 8):
+        monkeypatch.setattr(chains, "N_EXCHANGE", n_exchange)
+        made.append(chains.route_chains(chains.ChainBatch(tuple(jobs), plate, routing, 1)).frames)
+    plain, exchanged = (frames["exposure_paths"] for frames in made)
+    above = [(some["configuration_time_s"] > some["lower_bound_s"] * (1 + 1e-9)).sum() for some in (plain, exchanged)]
+    assert above[1] < above[0]
+    assert exchanged["unrouted"].sum() == 0
+    for step, job in enumerate(jobs):
+        rows = made[1]["exposure_allocations"].filter(exposure_id=step).sort("robot_id")
+        held, goal = rows["target_id"], job.goals[0]
+        assert sorted(held.drop_nulls()) == np.flatnonzero(goal.target_id >= 0).tolist()
+        place = rows.select("x_mm", "y_mm").to_numpy()
+        is_held = held.is_not_null().to_numpy()
+        np.testing.assert_array_equal(place[is_held], goal.end_mm[held.drop_nulls().cast(int).to_numpy()])
+        assert (np.hypot(*(place - plate.park_mm).T) <= plate.patrol_radius_mm + 1e-6).all()
+
+
+def test_a_target_barred_to_a_robot_goes_to_another_or_the_match_is_none(plate):
+    """Two robots that reach both targets; a guide's is in nobody else's reach."""
+    end = legal_places(plate, np.random.default_rng(3))
+    has_target = plate.is_live.copy()
+    guide = int(np.flatnonzero(plate.is_guide)[0])
+    assert rematch.match_around(plate, end, end, has_target, 4.0, {(guide, guide)}) is None
+    free = np.flatnonzero(plate.is_live & ~plate.is_guide)
+    has_target[free[1:]] = False
+    giver, goal = rematch.match_around(plate, end, end, has_target, 4.0, {(int(free[0]), int(free[0]))})
+    taker = int(np.flatnonzero(giver == free[0])[0])
+    assert taker in free[1:]
+    np.testing.assert_array_equal(goal[taker], end[free[0]])
+    assert giver[free[0]] == -1

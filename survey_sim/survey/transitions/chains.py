@@ -12,19 +12,24 @@ import numpy.typing as npt
 import polars as pl
 
 from survey_sim import tables
-from survey_sim.allocation import match_again
+from survey_sim.allocation import has_room, match_again, match_around, resting_places
 from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate
-from survey_sim.routing import RoutingSettings, UnroutedReason, route
+from survey_sim.motion import alone_time_s
+from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.schema import TARGET_KINDS
 from survey_sim.simulation import simulate
+from survey_sim.survey.exchanges import cost_of, least_costly
 from survey_sim.survey.rows import PlayedPath, Rows
 from survey_sim.survey.tile import REASON_CODES, State, stream
 
 IntArray = npt.NDArray[np.int64]
+Places = Mapping[int, FloatArray]
 
 EXPOSURE_TABLES = ("exposure_allocations", "exposure_legs", "exposure_paths")
 VISIT_KEY = ("survey", "tile_id", "visit_id")
+# Exchanges tried for a pointing in which robots hold the others up.
+N_EXCHANGE = 4
 _SCIENCE = TARGET_KINDS.index("science")
 
 
@@ -102,6 +107,36 @@ class Configurations:
 
 
 @dataclass(frozen=True)
+class Way:
+    """A way to a visit that was routed.
+
+    Attributes
+    ----------
+    giver, goal_mm
+        As `match_again` gives them.
+    barred, places
+        What was barred to get there, as in `match_around`; where idle robots were told to rest.
+    """
+
+    giver: IntArray
+    goal_mm: FloatArray
+    routed: RoutedPath
+    barred: frozenset[tuple[int, int]]
+    places: Places
+
+    @property
+    def cost(self) -> tuple[int, float]:
+        """Robots that do not arrive, and time, s."""
+        return cost_of(self.routed)
+
+    @property
+    def blamed(self) -> tuple[int, ...]:
+        """Robots that do not arrive, or hold the others up."""
+        lost = np.flatnonzero(self.routed.reason != UnroutedReason.ARRIVED).tolist()
+        return tuple(dict.fromkeys([*lost, *self.routed.held_up]))
+
+
+@dataclass(frozen=True)
 class ChainJob:
     """Configurations one after the other.
 
@@ -164,9 +199,8 @@ def _go_on(
 ) -> tuple[State, float, list[int]]:
     """Configure for one visit: where the robots stand then, how long it took, s, and science targets lost."""
     plate, key = batch.plate, {"exposure_id": step}
-    giver, goal_mm = match_again(plate, state.position_mm, goal.end_mm, goal.target_id >= 0, goal.travel_power)
-    rng = stream(batch.seed, "transition", *goal.visit)
-    routed = route(plate, state.position_mm, state.theta_deg, goal_mm, batch.routing, rng)
+    way = _way(batch, goal, state)
+    giver, routed = way.giver, way.routed
     played = simulate(plate, state.position_mm, state.theta_deg, routed.legs)
     made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
     rows["exposure_paths"].add(1, **key, **made.path_columns())
@@ -188,6 +222,50 @@ def _go_on(
     )
     lost = given[~is_arrived & (kind == _SCIENCE)]
     return State(routed.end_mm, routed.end_theta_deg), played.configuration_time_s, sorted(lost.tolist())
+
+
+def _way(batch: ChainBatch, goal: Goal, state: State) -> Way:
+    """The way to a visit: targets matched again, and exchanged where robots would be in each other's way."""
+    plate, has_target = batch.plate, goal.target_id >= 0
+    instrument = plate.instrument
+
+    def routed(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Way:
+        rng = stream(batch.seed, "transition", *goal.visit)
+        path = route(plate, state.position_mm, state.theta_deg, goal_mm, batch.routing, rng)
+        return Way(giver, goal_mm, path, barred, places)
+
+    def tried(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Way | None:
+        for robot, place in places.items():
+            if giver[robot] < 0 and has_room(plate, goal_mm, robot, place):
+                goal_mm[robot] = place
+        key = goal_mm.tobytes()
+        alone_s = alone_time_s(instrument, state.position_mm, state.theta_deg, goal_mm).max()
+        if key in costs or (0, alone_s) > min(costs.values()):
+            return None
+        way = routed(giver, goal_mm, barred, places)
+        costs[key] = way.cost
+        return way
+
+    def exchanged(way: Way, barred: frozenset[tuple[int, int]]) -> Way | None:
+        found = match_around(
+            plate, state.position_mm, goal.end_mm, has_target, goal.travel_power, barred, untangles=True
+        )  # fmt: skip
+        return None if found is None else tried(*found, barred, way.places)
+
+    def others(way: Way) -> Iterator[Way | None]:
+        if not way.barred and not way.places:
+            yield exchanged(way, way.barred)
+        for robot in way.blamed:
+            if way.giver[robot] >= 0:
+                yield exchanged(way, way.barred | {(robot, int(way.giver[robot]))})
+            else:
+                for place in resting_places(plate, state.position_mm, way.goal_mm, robot):
+                    yield tried(way.giver, way.goal_mm.copy(), way.barred, {**way.places, robot: place})
+
+    giver, goal_mm = match_again(plate, state.position_mm, goal.end_mm, has_target, goal.travel_power)
+    first = routed(giver, goal_mm, frozenset(), {})
+    costs = {goal_mm.tobytes(): first.cost}
+    return least_costly(first, others, N_EXCHANGE)
 
 
 def batches(
