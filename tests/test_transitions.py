@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from survey_sim.allocation import match_again, rematch
+from survey_sim.allocation import has_room, match_again, rematch, resting_places
 from survey_sim.instrument import load_instrument, make_plate
 from survey_sim.routing import RoutingSettings, route
 from survey_sim.survey.tile import State, stream
@@ -302,3 +302,11 @@ def test_a_target_barred_to_a_robot_goes_to_another_or_the_match_is_none(plate):
     assert taker in free[1:]
     np.testing.assert_array_equal(goal[taker], end[free[0]])
     assert giver[free[0]] == -1
+
+
+def test_a_dead_robot_has_no_other_place_to_rest(plate):
+    start = legal_places(plate, np.random.default_rng(5))
+    dead = int(np.flatnonzero(~plate.is_live)[0])
+    assert resting_places(plate, start, start, dead).shape == (0, 2)
+    assert not has_room(plate, start, dead, start[dead])
+    assert has_room(plate, start, 0, start[0])

@@ -20,6 +20,8 @@ GUARD_MM = 1e-6
 def resting_places(plate: Plate, start_mm: FloatArray, goal_mm: FloatArray, robot: int) -> FloatArray:
     """(n, 2) places where a robot may rest rather than at its goal, those least in others' way first, then the nearest, mm.
 
+    None for a dead one.
+
     Parameters
     ----------
     start_mm, goal_mm
@@ -43,12 +45,13 @@ def resting_places(plate: Plate, start_mm: FloatArray, goal_mm: FloatArray, robo
 
 
 def has_room(plate: Plate, goal_mm: FloatArray, robot: int, place_mm: FloatArray) -> bool:
-    """Whether a robot may end at a place (2,), mm, while all others end at their goals (n_robot, 2)."""
+    """Whether a live robot may end at a place (2,), mm, while all others end at their goals (n_robot, 2)."""
     apart = np.hypot(*(goal_mm - place_mm).T)
     apart[robot] = np.inf
     instrument = plate.instrument
     return bool(
-        apart.min() >= instrument.min_separation_mm + GUARD_MM
+        plate.is_live[robot]
+        and apart.min() >= instrument.min_separation_mm + GUARD_MM
         and np.hypot(*place_mm) <= instrument.plate_radius_mm - GUARD_MM
         and np.hypot(*(place_mm - plate.park_mm[robot])) <= plate.patrol_radius_mm[robot] - GUARD_MM
     )

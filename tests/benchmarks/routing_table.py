@@ -2,7 +2,8 @@
 
 Each row routes and proves many paths of one kind of field. Matched fields are chains of ten visits, each matched from the
 one before by least sum of distance^4, routed three ways. The bound is that of the slowest robot alone; with dead robots, of
-the slowest on its shortest way around them. The independent check's kernel looks for pairs nearer than the separation.
+the slowest on its shortest way around them. "With exchanges" targets are matched and exchanged as at the telescope; its time
+holds all that. The independent check's kernel looks for pairs nearer than the separation.
 Times are CPU time, also over one assignment of 150 robots to 1,500 targets in the same run.
 """
 
@@ -23,6 +24,8 @@ from rich.progress import track
 from survey_sim.instrument import Plate, load_instrument, make_plate
 from survey_sim.routing import ROUTERS, RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import SimulationSettings, execute
+from survey_sim.survey.tile import State
+from survey_sim.survey.transitions.chains import ChainBatch, Goal, best_way
 from tests.benchmarks.orca import steer
 from tests.benchmarks.yardstick import yardstick_s
 from tests.fields import chain, matched_field, random_field
@@ -89,6 +92,23 @@ def with_dead(n_dead: int, router: str, seed: int) -> Iterator[tuple[Task, Route
     plate = make_plate(load_instrument("taipan-150"), tuple(int(robot) for robot in dead))
     task = Task("start_to_target", plate, at, np.zeros(plate.n_robot), matched_field(plate, at, 160, rng).goal_mm)
     yield task, *timed(task, RoutingSettings.load({"router": router}), seed)
+
+
+def exchanged(n_dead: int, n_target: int, seed: int) -> Iterator[tuple[Task, RoutedPath, float]]:
+    """The last of four visits, robots dead as in `with_dead`; who holds it up exchanges targets, as at the telescope."""
+    rng = np.random.default_rng(seed)
+    plate = make_plate(load_instrument("taipan-150"))
+    at = list(chain(plate, 3, n_target, rng))[-1][1]
+    dead = rng.choice(plate.robot_id[~plate.is_guide], n_dead, replace=False)
+    plate = make_plate(load_instrument("taipan-150"), tuple(int(robot) for robot in dead))
+    field, robot = matched_field(plate, at, n_target, rng), np.arange(plate.n_robot)
+    target = np.where(field.is_assigned, robot, -1)
+    goal = Goal(("field", 0, seed), target, np.where(field.is_assigned, 0, -1).astype(np.int8), field.goal_mm, 4.0)
+    batch = ChainBatch((), plate, RoutingSettings(), seed)
+    begin = time.process_time()
+    way = best_way(batch, goal, State(at, np.zeros(plate.n_robot)))
+    ms = 1e3 * (time.process_time() - begin)
+    yield Task("start_to_target", plate, at, np.zeros(plate.n_robot), way.goal_mm), way.routed, ms
 
 
 def unmatched(router: str, seed: int) -> Iterator[tuple[Task, RoutedPath, float]]:
@@ -168,6 +188,8 @@ def cases(n_visit: int) -> dict[str, tuple[Callable[[int], list], int]]:
         found[f"coordinated, {instrument}"] = partial(measure, partial(matched, instrument, n_target, "coordinated")), n
     for n_dead in (5, 15):
         found[f"coordinated, {n_dead} dead"] = partial(measure, partial(with_dead, n_dead, "coordinated")), n_visit
+    for n_dead in (0, 5, 15):
+        found[f"with exchanges, {n_dead} dead"] = partial(measure, partial(exchanged, n_dead, 160)), n_visit
     found["coordinated, random"] = partial(measure, partial(unmatched, "coordinated")), max(1, n_visit // 4)
     for router in ("simple-vector", "traffic-light", "cooperative-astar"):
         found[f"{router}, taipan-150"] = partial(measure, partial(matched, "taipan-150", 160, router)), few

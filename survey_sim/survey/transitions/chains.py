@@ -199,7 +199,7 @@ def _go_on(
 ) -> tuple[State, float, list[int]]:
     """Configure for one visit: where the robots stand then, how long it took, s, and science targets lost."""
     plate, key = batch.plate, {"exposure_id": step}
-    way = _way(batch, goal, state)
+    way = best_way(batch, goal, state)
     giver, routed = way.giver, way.routed
     played = simulate(plate, state.position_mm, state.theta_deg, routed.legs)
     made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
@@ -224,7 +224,7 @@ def _go_on(
     return State(routed.end_mm, routed.end_theta_deg), played.configuration_time_s, sorted(lost.tolist())
 
 
-def _way(batch: ChainBatch, goal: Goal, state: State) -> Way:
+def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
     """The way to a visit: targets matched again, and exchanged where robots would be in each other's way."""
     plate, has_target = batch.plate, goal.target_id >= 0
     instrument = plate.instrument
