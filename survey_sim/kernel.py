@@ -1,4 +1,4 @@
-"""`kernel`: a compiled function, kept on disk until a file of its folder is edited.
+"""`kernel`, `inner_kernel`: a compiled function, kept on disk until a file of its folder is edited.
 
 `numba.njit(cache=True)` keeps what it compiles until the file of the function itself changes. A kernel that calls a kernel
 of another file has that one compiled into it, and would go on with the old one after an edit there. `kernel` looks at all
@@ -35,6 +35,11 @@ class _FolderCache(FunctionCache):  # type: ignore[misc]  # numba has no types
         self._cache_file = IndexDataCacheFile(self.cache_path, self._impl.filename_base, _digest_of_folder(folder))
 
 
+def _kept(compiled: Any, function: Callable[..., Any]) -> Any:
+    compiled._cache = _FolderCache(function)
+    return compiled
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """
     Compile a function at its first call, without the interpreter and without reordering of floating point operations.
@@ -49,6 +54,24 @@ def kernel(function: Callable[..., Any]) -> Any:
     numba dispatcher
         What is compiled is kept on disk where `numba.njit(cache=True)` keeps it.
     """
-    compiled = njit(function)
-    compiled._cache = _FolderCache(function)
-    return compiled
+    return _kept(njit(function), function)
+
+
+def inner_kernel(function: Callable[..., Any]) -> Any:
+    """
+    Compile a function that kernels call often, as `kernel` does, but without counts of references to arrays.
+
+    The counts cost two atomic operations for each array of each call, tuples' arrays included: several times what a function
+    of a few lines takes. Whoever calls it holds the arrays meanwhile.
+
+    Parameters
+    ----------
+    function : callable
+        As for `kernel`; it makes no array, and calls only functions that make none (numba refuses others).
+
+    Returns
+    -------
+    numba dispatcher
+        What is compiled is kept on disk where `numba.njit(cache=True)` keeps it.
+    """
+    return _kept(njit(_nrt=False)(function), function)

@@ -9,17 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from survey_sim.allocation import AllocationSettings, Field, FieldTargets, make_field, part_of_field
-from survey_sim.allocation.bound_kernels import clique_parts, cliques_by_pair, most_apart, windows_within
-from survey_sim.allocation.kernels import (
-    crossings,
-    near_lists,
-    note_lost,
-    pick_apart,
-    place_idle,
-    reach_lists,
-    take_in_order,
-)
-from survey_sim.allocation.plan_kernels import cover, make_items
+from survey_sim.allocation.kernels.bound import clique_parts, cliques_by_pair, most_apart, windows_within
+from survey_sim.allocation.kernels.choosing import crossings, note_lost, pick_apart, take_in_order
+from survey_sim.allocation.kernels.cover import cover, make_items
+from survey_sim.allocation.kernels.lists import near_lists, reach_lists
+from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
 from tests.mock_targets import survey_targets, uniform_xy

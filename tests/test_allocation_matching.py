@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from survey_sim.allocation import AllocationSettings, matching, start_allocation
 from survey_sim.allocation.field import make_field
-from survey_sim.allocation.matching_kernels import match_apart
+from survey_sim.allocation.kernels.matching import match_apart
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
 from tests.mock_targets import field_targets, survey_targets, uniform_xy

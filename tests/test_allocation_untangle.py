@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from survey_sim.allocation import AllocationSettings, start_allocation
-from survey_sim.allocation.untangle_kernels import forbidden_delays, untangle
+from survey_sim.allocation.kernels.untangle import forbidden_delays, untangle
 from survey_sim.instrument import load_instrument, make_plate
 from tests.mock_targets import survey_targets, uniform_xy
 from tests.naive_allocation import least_distance_with_delay

@@ -7,7 +7,7 @@ stand, and its `record` takes what the router could bring about.
 from survey_sim.allocation.bound import completeness_bound
 from survey_sim.allocation.field import Field, VisitRequest, make_field, part_of_field
 from survey_sim.allocation.ideal import ideal_completeness
-from survey_sim.allocation.kernels import crossings
+from survey_sim.allocation.kernels.choosing import crossings
 from survey_sim.allocation.minima import Minima
 from survey_sim.allocation.pooling import plan_visits
 from survey_sim.allocation.realisations import Realisations

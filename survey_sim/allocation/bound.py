@@ -9,9 +9,9 @@ from scipy import sparse
 from scipy.optimize import linprog
 from scipy.sparse.csgraph import maximum_flow
 
-from survey_sim.allocation.bound_kernels import clique_parts, cliques_by_pair, most_apart, windows_within
 from survey_sim.allocation.field import Field, make_field
-from survey_sim.allocation.kernels import near_among
+from survey_sim.allocation.kernels.bound import clique_parts, cliques_by_pair, most_apart, windows_within
+from survey_sim.allocation.kernels.lists import near_among
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
 from survey_sim.instrument import Plate

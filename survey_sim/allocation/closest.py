@@ -3,7 +3,7 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
-from survey_sim.allocation.kernels import take_in_order
+from survey_sim.allocation.kernels.choosing import take_in_order
 from survey_sim.allocation.targets import GUIDE, SCIENCE, SKY, STANDARD, FloatArray, IntArray
 
 # Assumed: how many mm of travel CDA-Advanced gives for the highest priority, and for the most crowded place.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.allocation.kernels import near_among, near_any, near_lists, nearest_squared, reach_lists
+from survey_sim.allocation.kernels.lists import near_among, near_any, near_lists, nearest_squared, reach_lists
 from survey_sim.allocation.minima import Minima, sectors
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTargets, FloatArray, IntArray

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
-from survey_sim.allocation.kernels import nearest_squared, pick_apart, take_in_order
-from survey_sim.allocation.matching_kernels import match_open
+from survey_sim.allocation.kernels.choosing import pick_apart, take_in_order
+from survey_sim.allocation.kernels.lists import nearest_squared
+from survey_sim.allocation.kernels.matching import match_open
+from survey_sim.allocation.kernels.untangle import untangle
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, STANDARD, FloatArray, IntArray
-from survey_sim.allocation.untangle_kernels import untangle
 from survey_sim.schema import TARGET_KINDS
 
 # Worth of a fibre that the visit must have, in science targets: at most five targets near one are apart from each other, so

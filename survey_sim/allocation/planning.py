@@ -3,6 +3,8 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
+from survey_sim.allocation.kernels.cover import cover, make_items
+from survey_sim.allocation.kernels.shorten import sample_within, shorten
 from survey_sim.allocation.matching import (
     NEEDED_VALUE,
     fill_calibration,
@@ -11,7 +13,6 @@ from survey_sim.allocation.matching import (
     pick_calibration,
     untangled,
 )
-from survey_sim.allocation.plan_kernels import cover, make_items, sample_within, shorten
 from survey_sim.allocation.targets import GUIDE, SKY, STANDARD, IntArray
 
 # Whole-number worth of a target of value 1, for the search.
@@ -28,6 +29,9 @@ N_EXCHANGE = 30
 KEPT_FRAC = 0.9
 # Length of searches that begin from an older plan, as a share of those that begin from nothing.
 MEND_EFFORT_FRAC = 0.3
+# The same of shortening: sweeps, and exchanges tried in each (few targets wait there: with twice as many, ways are 0 to 1 %
+# shorter on tiles of the five-year survey).
+MEND_SWEEP_FRAC = 0.5
 # Worth of a fibre of a target that goes first, in fibres of one that does not: more than it can be in the way of.
 FIRST_WORTH = 8
 # Rounds that give up the targets least begun of those that cannot get all their visits.
@@ -82,7 +86,7 @@ class Planner:
         limit = settings.max_visits if settings.visits is None else min(settings.visits, settings.max_visits)
         limit -= request.visit_id
         old = self._is_planned[:, :limit]
-        search = Search(field, request, self._state, effort_frac=MEND_EFFORT_FRAC if old.any() else 1.0)
+        search = Search(field, request, self._state, is_brief=bool(old.any()))
         search.prefer(self._goes_first)
         least = min(limit, max(search.least_visits(), old.shape[1]))
         n_visit = least if settings.visits is None else limit
@@ -133,11 +137,15 @@ class Search:
         state: np.ndarray,
         guides: "PlannedGuides | None" = None,
         capacity: int | None = None,
-        effort_frac: float = 1.0,
+        *,
+        is_brief: bool = False,
     ) -> None:
         self.field, self.request, self.state = field, request, state
-        self.n_step = round(N_STEP * field.settings.effort * effort_frac)
         targets, settings = field.targets, field.settings
+        self.n_step = round(N_STEP * settings.effort * (MEND_EFFORT_FRAC if is_brief else 1.0))
+        sweep_frac = MEND_SWEEP_FRAC if is_brief else 1.0
+        self.n_sweep = max(1, round(N_SWEEP * settings.effort * sweep_frac))
+        self.n_exchange = round(N_EXCHANGE * sweep_frac)
         is_served = request.is_open & (np.diff(field.reach_first) > 0)
         copies = np.where(is_served & targets.is_science, request.missing, 0)
         self.item_target, self.near_first, self.near = make_items(copies, field.near_first, field.near)
@@ -232,12 +240,12 @@ class Search:
         for _ in range(N_ROUND if n_visit else 0):
             slot, robot_of = self._match_all(n_visit, visit_of)
             shorten(
-                max(1, round(N_SWEEP * settings.effort)), HOT_MM**power, COLD_MM**power, power / 2.0,
+                self.n_sweep, HOT_MM**power, COLD_MM**power, power / 2.0,
                 settings.used_park_pull, self.request.start_mm, field.plate.park_mm, xy, field.separation_mm,
                 self.value, kin, settings.delay_worth_mm**power * rank,
                 self.near_first, self.near, self.item_target, field.reach_first, field.reach_robot,
                 self.request.is_pair_open, is_shut, np.full(n_visit, self.capacity),
-                sample_within(xy, EXCHANGE_RADIUS_MM, N_EXCHANGE, self.state), slot, visit_of, robot_of, self.state,
+                sample_within(xy, EXCHANGE_RADIUS_MM, self.n_exchange, self.state), slot, visit_of, robot_of, self.state,
             )  # fmt: skip
         return visit_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
-from survey_sim.allocation.planning import MEND_EFFORT_FRAC, VALUE_UNIT, Search
+from survey_sim.allocation.planning import VALUE_UNIT, Search
 
 # Times that the worth of programmes which lack targets is doubled, while others have theirs.
 N_FAVOUR = 2
@@ -41,7 +41,7 @@ def plan_visits(
     missing = np.where(targets.is_science & is_free, targets.wanted_visits, 0)
     request = VisitRequest(0, plate.park_mm, is_free, np.ones(len(field.reach_robot), dtype=bool), missing)
     state = rng.integers(1, 2**63, size=1, dtype=np.uint64)
-    search = Search(field, request, state, capacity=capacity, effort_frac=MEND_EFFORT_FRAC)
+    search = Search(field, request, state, capacity=capacity, is_brief=True)
     # A fibre is worth as much to a target that wants many visits as to one that wants one.
     search.value = np.round(VALUE_UNIT * field.value[search.item_target]).astype(np.int64)
     visit_of, _ = search.fill(n_visit, search.visits_of(kept[:, :n_visit]), is_in_part=False)

@@ -7,7 +7,8 @@ from collections.abc import Collection
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray
-from survey_sim.allocation.kernels import place_idle, way_costs
+from survey_sim.allocation.kernels.lists import way_costs
+from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.allocation.targets import FloatArray, IntArray
 from survey_sim.allocation.untangle_kernels import untangle
 from survey_sim.instrument import Plate

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from survey_sim.allocation.kernels.untangle import tangles_of_places
 from survey_sim.allocation.targets import FloatArray
-from survey_sim.allocation.untangle_kernels import tangles_of_places
 from survey_sim.instrument import Plate
 
 # Places are looked for so far around where the robot stands and around its present resting place, mm, in so many directions.

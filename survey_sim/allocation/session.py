@@ -11,7 +11,9 @@ from survey_sim.allocation.closest import choose_advanced, choose_basic
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field, with_sub_priority
 from survey_sim.allocation.foreign import checked_choice
 from survey_sim.allocation.ideal import choose_ideal
-from survey_sim.allocation.kernels import crossings, note_lost, place_idle, reach_lists
+from survey_sim.allocation.kernels.choosing import crossings, note_lost
+from survey_sim.allocation.kernels.lists import reach_lists
+from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.allocation.matching import choose_matching, exchanged
 from survey_sim.allocation.planning import Planner
 from survey_sim.allocation.resting import has_room, resting_places

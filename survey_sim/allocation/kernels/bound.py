@@ -4,7 +4,8 @@
 # mypy: allow-untyped-defs
 
 import numpy as np
-from numba import njit
+
+from survey_sim.kernel import kernel
 
 # Targets of one window, and bits of a mask.
 MOST = 64
@@ -12,7 +13,7 @@ MOST = 64
 MAX_NODES = 2000
 
 
-@njit(cache=True)
+@kernel
 def _bits(mask):
     n = 0
     while mask:
@@ -21,7 +22,7 @@ def _bits(mask):
     return n
 
 
-@njit(cache=True)
+@kernel
 def most_apart(window, xy, separation):
     """Most targets of a window (at most 64) of which no two are nearer than the separation; at least that.
 
@@ -69,7 +70,7 @@ def most_apart(window, xy, separation):
     return best
 
 
-@njit(cache=True)
+@kernel
 def _clique_cover(left, near):
     """Number of cliques of a greedy cover: no set of targets that are apart has more."""
     one = np.uint64(1)
@@ -86,7 +87,7 @@ def _clique_cover(left, near):
     return n_clique
 
 
-@njit(cache=True)
+@kernel
 def windows_within(xy, radius):
     """Targets within a radius of each target, itself first, the nearest 64: (first (n + 1,), member)."""
     n = len(xy)
@@ -121,7 +122,7 @@ def windows_within(xy, radius):
     return first, member[:m].copy()
 
 
-@njit(cache=True)
+@kernel
 def _grow(grown, size, i, xy, separation, first, near, is_shut):
     """Add neighbours of i to a clique that holds i, each time the one whose farthest member is nearest; the new size."""
     mine = near[first[i] : first[i + 1]]
@@ -145,7 +146,7 @@ def _grow(grown, size, i, xy, separation, first, near, is_shut):
         size += 1
 
 
-@njit(cache=True)
+@kernel
 def clique_parts(xy, separation, first, near):
     """(n_target,) number of the clique that each target is in, every target in one (a greedy partition)."""
     part = np.full(len(xy), -1, np.int64)
@@ -164,7 +165,7 @@ def clique_parts(xy, separation, first, near):
     return part
 
 
-@njit(cache=True)
+@kernel
 def cliques_by_pair(xy, separation, first, near, least, n_seed):
     """Cliques of at least so many members: (first (n_clique + 1,), member).
 

@@ -14,7 +14,8 @@ Both sides search: a robot looks for a target, or a group that has lost its robo
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from survey_sim.kernel import inner_kernel, kernel
 
 IDLE = -1
 FREE = -2
@@ -79,7 +80,7 @@ class Tree(NamedTuple):
     at: np.ndarray
 
 
-@njit(cache=True)
+@kernel
 def _tree(n_robot, n_target):
     n = max(n_robot, n_target)
     return Tree(
@@ -88,7 +89,7 @@ def _tree(n_robot, n_target):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inner_kernel
 def _nearest(tree, n_seen, limit):
     """Place in `seen` of what is nearest, nearer than the limit, and not done; -1 if there is none."""
     where = -1
@@ -98,7 +99,7 @@ def _nearest(tree, n_seen, limit):
     return where
 
 
-@njit(cache=True)
+@inner_kernel
 def _search_groups(robot, pairs, now, tree):
     """Shortest alternating path from a free robot to a free group, or to a robot that goes idle.
 
@@ -137,7 +138,7 @@ def _search_groups(robot, pairs, now, tree):
         r, distance = now.holder[tree.seen[where]], tree.label[tree.seen[where]]
 
 
-@njit(cache=True)
+@inner_kernel
 def _assign(robot, pairs, now, tree):
     """Bring one free robot into the assignment by a shortest augmenting path."""
     best, r, new, n_passed, n_seen = _search_groups(robot, pairs, now, tree)
@@ -159,7 +160,7 @@ def _assign(robot, pairs, now, tree):
         r = tree.via[r]
 
 
-@njit(cache=True)
+@inner_kernel
 def _see_robots(g, distance, best, n_seen, pairs, now, tree):
     """Label the robots that reach a group's targets; how many have been seen now."""
     t = g
@@ -177,7 +178,7 @@ def _see_robots(g, distance, best, n_seen, pairs, now, tree):
             return n_seen
 
 
-@njit(cache=True)
+@inner_kernel
 def _search_robots(freed, pairs, now, tree):
     """Shortest alternating path from a group without a robot to an idle robot, or to a group that is left for nothing.
 
@@ -202,7 +203,7 @@ def _search_robots(freed, pairs, now, tree):
             best, end_robot = distance - now.v[g], r
 
 
-@njit(cache=True)
+@inner_kernel
 def _release(freed, pairs, now, tree):
     """Bring the dual of a group that has lost its robot back to 0, moving robots into it where that is cheaper."""
     best, r, n_seen = _search_robots(freed, pairs, now, tree)
@@ -229,7 +230,7 @@ def _release(freed, pairs, now, tree):
             return
 
 
-@njit(cache=True)
+@kernel
 def _shut_out(t, is_near, pairs, now, tree):
     """Leave out one target, or (if `is_near`) all that are near it, and mend the assignment."""
     out = pairs.near[pairs.near_first[t] : pairs.near_first[t + 1]] if is_near else np.full(1, t, np.int32)
@@ -253,7 +254,7 @@ def _shut_out(t, is_near, pairs, now, tree):
         _assign(freed_robot[k], pairs, now, tree)
 
 
-@njit(cache=True)
+@inner_kernel
 def _held_near(r, pairs, now):
     """First target held too close to that of robot r, and how many are."""
     first, n = -1, 0
@@ -268,7 +269,7 @@ def _held_near(r, pairs, now):
     return first, n
 
 
-@njit(cache=True)
+@inner_kernel
 def _is_clique(a, b, pairs, now):
     """Whether two groups are one clique."""
     s = a
@@ -286,7 +287,7 @@ def _is_clique(a, b, pairs, now):
             return True
 
 
-@njit(cache=True)
+@inner_kernel
 def _merge(a, b, now):
     """Make one group of two that have robots; gives the robot that is freed by it."""
     if now.v[b] < now.v[a]:
@@ -306,7 +307,7 @@ def _merge(a, b, now):
     return q
 
 
-@njit(cache=True)
+@inner_kernel
 def _settle(pairs, now, tree):
     """Merge groups until no two held targets that could be of one clique are too close; the target to branch on, or -1."""
     while True:
@@ -325,7 +326,7 @@ def _settle(pairs, now, tree):
             return branch
 
 
-@njit(cache=True)
+@inner_kernel
 def _total(pairs, now):
     total = 0.0
     for p in now.pair:
@@ -333,14 +334,14 @@ def _total(pairs, now):
     return total
 
 
-@njit(cache=True)
+@kernel
 def _copy(now):
     return Matched(
         now.u.copy(), now.v.copy(), now.pair.copy(), now.holder.copy(), now.group.copy(), now.ring.copy(), now.shut.copy()
     )
 
 
-@njit(cache=True)
+@kernel
 def _relaxed(n_robot, n_target, pairs, tree):
     """The cheapest assignment, each target a group of its own."""
     now = Matched(
@@ -361,14 +362,14 @@ def _relaxed(n_robot, n_target, pairs, tree):
     return now
 
 
-@njit(cache=True)
+@inner_kernel
 def _travel_cost(ax, ay, bx, by, half_power):
     """Distance^P; quick at the usual P = 4."""
     d2 = (ax - bx) ** 2 + (ay - by) ** 2
     return d2 * d2 if half_power == 2.0 else d2**half_power
 
 
-@njit(cache=True)
+@kernel
 def _pairs_by_robot(n_robot, reach_robot):
     """Pairs of each robot: (first (n_robot + 1,), pair (n_pair,))."""
     first = np.zeros(n_robot + 1, np.int64)
@@ -384,7 +385,7 @@ def _pairs_by_robot(n_robot, reach_robot):
     return first, pair
 
 
-@njit(cache=True)
+@kernel
 def match_apart(
     n_robot, idle_cost, reach_first, reach_robot, pair_target, cost,
     near_first, near, xy, separation, max_nodes,
@@ -448,7 +449,7 @@ def match_apart(
     return best_pair, min(best, open_bound), n_node
 
 
-@njit(cache=True)
+@kernel
 def _open_part(is_open, is_pair_open, reach_first, reach_robot, near_first, near):
     """The open targets with their usable pairs and open neighbours, numbered among themselves.
 
@@ -480,7 +481,7 @@ def _open_part(is_open, is_pair_open, reach_first, reach_robot, near_first, near
     return full, own_first, robot[:n_pair].copy(), target[:n_pair].copy(), own_near_first, own_near[:n_near].copy()
 
 
-@njit(cache=True)
+@kernel
 def match_open(
     is_open, is_pair_open, start_xy, park_xy, xy, value, value_step, half_power, park_pull,
     reach_first, reach_robot, near_first, near, separation, max_nodes,

@@ -6,13 +6,13 @@ delays that bring them too near are one interval, open on a side where one sweep
 where they exchange places, or where both ends of one lie on the other's line (Goodwin et al. 2014, Figure 13).
 """
 
-# ruff: noqa: PLR0912, PLR0915
 # mypy: allow-untyped-defs
 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from survey_sim.kernel import inner_kernel, kernel
 
 # All below was chosen on fields of the demo run; lengths are mm of way.
 # A robot with so much more time than its way takes goes round another whatever their ways are.
@@ -48,7 +48,7 @@ class Ways(NamedTuple):
     tangle: np.ndarray
 
 
-@njit(cache=True)
+@inner_kernel
 def _near_part(wx, wy, vx, vy, length, radius2):
     """Part (low, high) of a way from 0 along v that is nearer to w than the radius; low > high if there is none."""
     along = wx * vx + wy * vy
@@ -62,7 +62,7 @@ def _near_part(wx, wy, vx, vy, length, radius2):
     return max(0.0, low), min(length, high)
 
 
-@njit(cache=True)
+@kernel
 def forbidden_delays(ax, ay, ux, uy, length_a, bx, by, vx, vy, length_b, radius):
     """Delays of b after a, as lengths of way, at which the two come too near: (low, high), low > high if there are none.
 
@@ -105,7 +105,7 @@ def forbidden_delays(ax, ay, ux, uy, length_a, bx, by, vx, vy, length_b, radius)
     return low, high
 
 
-@njit(cache=True)
+@inner_kernel
 def _pair_tangle(ways, w, i, j):
     """How far two robots are from passing each other in the time of the slowest: 0 (they can) to 1 (no time at all)."""
     begin, unit, length = ways.begin[w], ways.unit[w], ways.length[w]
@@ -126,7 +126,7 @@ def _pair_tangle(ways, w, i, j):
     return max(0.0, 1.0 - spare / DETOUR_MM)
 
 
-@njit(cache=True)
+@inner_kernel
 def _note_tangles(ways, r, sign):
     """Add (1) or take away (-1) a robot's tangles with all others, at both."""
     for w in range(N_WAY):
@@ -137,15 +137,16 @@ def _note_tangles(ways, r, sign):
                 ways.tangle[q] += amount
 
 
-@njit(cache=True)
+@inner_kernel
 def _remove(ways, r):
     """Take a robot's ways out."""
     _note_tangles(ways, r, -1.0)
-    ways.is_seen[:, r] = False
+    for w in range(N_WAY):
+        ways.is_seen[w, r] = False
     ways.tangle[r] = 0.0
 
 
-@njit(cache=True)
+@inner_kernel
 def _set_way(begin, x, y, unit, length, r):
     """Fill in the unit (2,) of a robot's way to (x, y), and its length among those of all."""
     dx, dy = x - begin[0], y - begin[1]
@@ -154,7 +155,7 @@ def _set_way(begin, x, y, unit, length, r):
     unit[1] = dy / length[r] if length[r] > 0.0 else 0.0
 
 
-@njit(cache=True)
+@inner_kernel
 def _add(ways, r, x, y, has_target):
     """Bring in a robot's ways to (x, y); without a target it steps aside where others pass from where they stand."""
     for w in range(N_WAY):
@@ -164,7 +165,7 @@ def _add(ways, r, x, y, has_target):
     _note_tangles(ways, r, 1.0)
 
 
-@njit(cache=True)
+@kernel
 def _make_ways(start_xy, park_xy, is_live, xy, radius, held):
     """Ways of all robots, with their tangles."""
     n_robot = len(held)
@@ -187,7 +188,17 @@ def _make_ways(start_xy, park_xy, is_live, xy, radius, held):
     return ways
 
 
-@njit(cache=True)
+@inner_kernel
+def _has_twice(chain, n):
+    """Whether one of the first n robots of a chain comes again."""
+    for k in range(n):
+        for m in range(k):
+            if chain[k] == chain[m]:
+                return True
+    return False
+
+
+@inner_kernel
 def _find_chain(i, cost, own_pair, reach_first, reach_robot, is_usable, held, gain, via, chain):
     """The cheapest way for a robot to be rid of its target: another takes it, whose target a third takes, and so on.
 
@@ -234,14 +245,16 @@ def _find_chain(i, cost, own_pair, reach_first, reach_robot, is_usable, held, ga
         chain[level + 1] = r
         r = via[level, r]
     n = best_level + 2
-    return (best, n) if len(np.unique(chain[:n])) == n else (np.inf, 0)
+    return (np.inf, 0) if _has_twice(chain, n) else (best, n)
 
 
-@njit(cache=True)
+@inner_kernel
 def _find_spare(i, cost, own_pair, reach_first, reach_robot, is_usable, near_first, near, spare_target, held, holder):
     """The cheapest spare target in the place of a robot's own: (cost added, target), (inf, -1) if there is none."""
-    best, found = np.inf, -1
-    if not (spare_target == held[i]).any():
+    best, found, is_spare = np.inf, -1, False
+    for t in spare_target:
+        is_spare = is_spare or t == held[i]
+    if not is_spare:
         return best, found
     for t in spare_target:
         is_free = holder[t] < 0
@@ -253,7 +266,7 @@ def _find_spare(i, cost, own_pair, reach_first, reach_robot, is_usable, near_fir
     return best, found
 
 
-@njit(cache=True)
+@inner_kernel
 def _pair_of(r, t, reach_first, reach_robot):
     """The pair of a robot and a target that it reaches."""
     for p in range(reach_first[t], reach_first[t + 1]):
@@ -262,7 +275,7 @@ def _pair_of(r, t, reach_first, reach_robot):
     return -1
 
 
-@njit(cache=True)
+@inner_kernel
 def _price(t, start_xy, park_xy, xy, half_power, park_pull, reach_first, reach_robot, longest, cost, is_usable):
     """Fill in what a target costs each robot that reaches it, and bar ways beyond the longest."""
     for p in range(reach_first[t], reach_first[t + 1]):
@@ -273,7 +286,39 @@ def _price(t, start_xy, park_xy, xy, half_power, park_pull, reach_first, reach_r
         is_usable[p] = is_usable[p] and d0 <= longest[0] and d1 <= longest[1]
 
 
-@njit(cache=True)
+@inner_kernel
+def _most_tangled(ways, held, is_stuck):
+    """The robot with a target that is most in others' way, of those not stuck; -1 if none is enough."""
+    i = -1
+    for r in range(len(held)):
+        may = held[r] >= 0 and not is_stuck[r] and ways.tangle[r] >= LEAST_TANGLE
+        if may and (i < 0 or ways.tangle[r] > ways.tangle[i]):
+            i = r
+    return i
+
+
+@inner_kernel
+def _follow(chain, freed, start_xy, xy, reach_first, reach_robot, travel, ways, held, holder, own_pair):
+    """Give each robot of a chain the target of the one before it, the first the target freed; the travel that is added."""
+    added = 0.0
+    for r in chain:
+        _remove(ways, r)
+        added -= travel[own_pair[r]] if own_pair[r] >= 0 else 0.0
+    for k in range(len(chain) - 1, -1, -1):
+        held[chain[k]] = held[chain[k - 1]] if k > 0 else freed
+    for r in chain:
+        t = held[r]
+        own_pair[r] = -1
+        x, y = start_xy[r, 0], start_xy[r, 1]
+        if t >= 0:
+            holder[t], own_pair[r] = r, _pair_of(r, t, reach_first, reach_robot)
+            added += travel[own_pair[r]]
+            x, y = xy[t, 0], xy[t, 1]
+        _add(ways, r, x, y, t >= 0)
+    return added
+
+
+@kernel
 def untangle(
     start_xy, park_xy, is_live, xy, half_power, park_pull, reach_first, reach_robot, is_pair_open,
     near_first, near, spare_target, radius, held,
@@ -331,15 +376,7 @@ def untangle(
     step = 0
     while step < N_STEP:
         step += 1
-        i = -1
-        for r in range(n_robot):
-            if (
-                held[r] >= 0
-                and not is_stuck[r]
-                and ways.tangle[r] >= LEAST_TANGLE
-                and (i < 0 or ways.tangle[r] > ways.tangle[i])
-            ):
-                i = r
+        i = _most_tangled(ways, held, is_stuck)
         if i < 0:
             break
         cost[own_pair[i]] += worth * ways.tangle[i]
@@ -355,20 +392,9 @@ def untangle(
         if by_spare < added:
             holder[held[i]] = -1
             chain[0], n, freed = i, 1, spare
-        for k in range(n):
-            _remove(ways, chain[k])
-            state -= travel[own_pair[chain[k]]] if own_pair[chain[k]] >= 0 else 0.0
-        for k in range(n - 1, -1, -1):
-            held[chain[k]] = held[chain[k - 1]] if k > 0 else freed
-        for k in range(n):
-            r = chain[k]
-            t = held[r]
-            own_pair[r] = -1
-            if t >= 0:
-                holder[t], own_pair[r] = r, _pair_of(r, t, reach_first, reach_robot)
-                state += travel[own_pair[r]]
-            x, y = xy[t] if t >= 0 else start_xy[r]
-            _add(ways, r, x, y, t >= 0)
+        state += _follow(
+            chain[:n], freed, start_xy, xy, reach_first, reach_robot, travel, ways, held, holder, own_pair
+        )  # fmt: skip
         tangle = ways.tangle.sum() / 2.0
         if state + worth * tangle < best - 1e-9 * worth:
             best, best_tangle, step = state + worth * tangle, tangle, 0
@@ -377,7 +403,7 @@ def untangle(
     return at_first, best_tangle
 
 
-@njit(cache=True)
+@kernel
 def tangles_of_places(start_xy, park_xy, is_live, goal_xy, radius, robot, places):
     """(n_place,) sum of a robot's tangles were it to go to each of these places; inf where no way is as long as that.
 
