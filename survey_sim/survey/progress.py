@@ -12,8 +12,14 @@ Advance = Callable[[int, int], None]
 
 
 @contextmanager
-def tile_progress(console: Console, n_tile: int, n_kept: int) -> Iterator[Advance]:
-    """Bar of tiles done, visits and time left; call what it gives with the tiles and visits of each finished batch."""
+def tile_progress(console: Console, n_tile: int, n_kept: int = 0) -> Iterator[Advance]:
+    """Bar of tiles done, visits and time left; call what it gives with the tiles and visits of each finished batch.
+
+    Parameters
+    ----------
+    n_kept
+        Tiles that are known to be kept from before; those that turn out to be are told as done, without visits.
+    """
     if n_kept:
         console.print(f"  {n_kept} of {n_tile} tiles are kept from before")
     with _bar(console, ("tiles", n_tile), "visits", n_kept) as advance:

@@ -113,13 +113,22 @@ def simulate_visits(run: Run) -> None:
         run.table(table).mkdir(exist_ok=True)  # a survey without tiles has tables too, without rows
     names = {name: rows.height for _, name, rows in _chunks(run)}
     _drop_stale_parts(run, names)
-    is_begun = any(_manifest(run, name).exists() for name in names)
-    kept = {batch.name for batch in make_batches(run) if is_whole(run, batch)} if is_begun else set()
-    wanted = (batch for batch in make_batches(run) if batch.name not in kept)
-    with tile_progress(run.console, sum(names.values()), sum(names[name] for name in kept)) as advance:
-        for result in run_batches(wanted, run.workers):
+    n_tile, n_done = sum(names.values()), 0
+    with tile_progress(run.console, n_tile) as advance:
+
+        def wanted() -> Iterator[Batch]:
+            for batch in make_batches(run):
+                if is_whole(run, batch):
+                    advance(len(batch.jobs), 0)
+                else:
+                    yield batch
+
+        for result in run_batches(wanted(), run.workers):
             _keep(run, result)
             advance(result.n_tile, result.n_visit)
+            n_done += result.n_tile
+    if n_done < n_tile:
+        run.console.print(f"  {n_tile - n_done} of {n_tile} tiles were kept from before")
     for table in GATHERED:
         parts = [pl.read_parquet(_part(run, table, name)) for name in sorted(names)]
         tables.write(pl.concat([tables.empty(table), *parts]), table, run.table(table))

@@ -18,6 +18,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 from rich.console import Console
 
+from survey_sim import interrupts
 from survey_sim.errors import InputError, did_you_mean
 from survey_sim.folders import find_pipeline
 from survey_sim.settings import Settings, read_toml
@@ -232,6 +233,7 @@ def _side_by_side(sweep: Sweep, workers: Workers) -> Iterator[tuple[Member, Inpu
         with deaf_to_interrupt():
             futures: dict[Future[None], Member] = {pool.submit(run_member, m, Workers()): m for m in sweep.members}
         for future in as_completed(futures):
+            interrupts.stop_if_asked()
             member = futures[future]
             try:
                 future.result()
