@@ -9,8 +9,8 @@ import numpy as np
 from survey_sim.allocation.field import BoolArray
 from survey_sim.allocation.kernels.lists import way_costs
 from survey_sim.allocation.kernels.resting import place_idle
+from survey_sim.allocation.kernels.untangle import untangle
 from survey_sim.allocation.targets import FloatArray, IntArray
-from survey_sim.allocation.untangle_kernels import untangle
 from survey_sim.instrument import Plate
 
 # Cost of what a robot shall not hold, mm^travel_power: more than any way costs.
