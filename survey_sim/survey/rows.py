@@ -25,7 +25,7 @@ from survey_sim.allocation import (
 from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate
 from survey_sim.motion import Legs
-from survey_sim.schema import TABLES, TARGET_KINDS
+from survey_sim.schema import TABLES, TARGET_KINDS, Column
 from survey_sim.simulation import ExecutedPath, SimulatedPath
 
 # Tables that the visits of a tile make.
@@ -58,11 +58,15 @@ class PlayedPath:
     reason: npt.NDArray[np.object_]
     lower_bound_s: float
 
+    @cached_property
+    def n_unrouted(self) -> int:
+        """Robots that were not routed."""
+        return sum(reason is not None for reason in self.reason)
+
     def figures(self) -> dict[str, float | int]:
         """Those that both `paths` and `visits` hold."""
         own = {name: getattr(self.played, name) for name in _PLAYED}
-        n_unrouted = sum(reason is not None for reason in self.reason)
-        return {**own, "unrouted": n_unrouted, "lower_bound_s": self.lower_bound_s}
+        return {**own, "unrouted": self.n_unrouted, "lower_bound_s": self.lower_bound_s}
 
     def path_columns(self) -> dict[str, float | int]:
         """All figures of the path."""
@@ -82,25 +86,37 @@ class Rows:
 
     def __init__(self, table: str) -> None:
         self.table = table
-        self._columns: dict[str, list[np.ndarray]] = {name: [] for name in TABLES[table].names}
+        self._columns: dict[str, list[Any]] = {name: [] for name in TABLES[table].names}
+        self._n_row: list[int] = []
 
     def add(self, n_row: int, **columns: Any) -> None:
         """Add rows; a single value stands for all of them."""
+        self._n_row.append(n_row)
         for name, chunks in self._columns.items():
-            value = np.asarray(columns[name])
-            chunks.append(value if value.ndim else np.full(n_row, value))
+            chunks.append(columns[name])
 
     def frame(self) -> pl.DataFrame:
         """All rows as a frame of the schema; NaN and None stand for null where a column may have it."""
-        columns = {}
-        for declared in TABLES[self.table].columns:
-            chunks = self._columns[declared.name]
-            values = np.concatenate(chunks) if chunks else np.empty(0)
-            series = pl.Series(declared.name, values.tolist() if values.dtype == object else values, strict=False)
-            if declared.is_nullable and series.dtype.is_float():
-                series = series.fill_nan(None)
-            columns[declared.name] = series.cast(declared.dtype)
-        return pl.DataFrame(columns)
+        declared = TABLES[self.table].columns
+        is_array = {name: any(isinstance(chunk, np.ndarray) for chunk in chunks) for name, chunks in self._columns.items()}
+        made = {column.name: self._of_arrays(column) for column in declared if is_array[column.name]}
+        single = pl.DataFrame([self._of_values(column) for column in declared if not is_array[column.name]])
+        if any(n != 1 for n in self._n_row):
+            single = single[np.repeat(np.arange(len(single)), self._n_row)]
+        made |= {series.name: series for series in single}
+        return pl.DataFrame([made[column.name] for column in declared])
+
+    def _of_values(self, column: Column) -> pl.Series:
+        """A column that has a single value each time that rows were added: these values."""
+        values = self._columns[column.name]
+        return pl.Series(column.name, values, strict=False, nan_to_null=column.is_nullable).cast(column.dtype)
+
+    def _of_arrays(self, column: Column) -> pl.Series:
+        """A column that has arrays, of all its rows."""
+        parts = zip(self._columns[column.name], self._n_row, strict=True)
+        values = np.concatenate([part if isinstance(part, np.ndarray) else np.full(n, part) for part, n in parts])
+        listed = values.tolist() if values.dtype == object else values
+        return pl.Series(column.name, listed, strict=False, nan_to_null=column.is_nullable).cast(column.dtype)
 
 
 class TileRows:
@@ -170,7 +186,7 @@ class TileRows:
             rotating_s=played.rotating_s,
             moving_s=played.moving_s,
             waiting_s=played.waiting_s,
-            reason=made.reason,
+            reason=made.reason if made.n_unrouted else None,
         )
 
     def add_execution(self, path: str, mode: str, done: ExecutedPath) -> None:
