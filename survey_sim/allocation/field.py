@@ -59,6 +59,12 @@ class Field:
         """(n_pair,) target of each entry of `reach_robot`."""
         return np.repeat(np.arange(self.targets.n_target), np.diff(self.reach_first))
 
+    def pairs_of(self, chosen: IntArray) -> tuple[IntArray, IntArray]:
+        """Entries of `reach_robot` of some targets, one after another: where each begins (n + 1,), and they (n_pair,)."""
+        n_own = np.diff(self.reach_first)[chosen]
+        first = np.concatenate([[0], np.cumsum(n_own)])
+        return first, np.arange(first[-1]) + np.repeat(self.reach_first[chosen] - first[:-1], n_own)
+
     def sum_near(self, worth: FloatArray) -> FloatArray:
         """(n_target,) sum of `worth` (n_target,) over the targets near each target."""
         total = np.add.reduceat(np.append(worth[self.near], 0.0), self.near_first[:-1])
@@ -140,9 +146,7 @@ def part_of_field(field: Field, chosen: IntArray, targets: FieldTargets, setting
         They themselves, where they stood before; priority, programme and completeness wanted may be others.
     """
     near = near_among(chosen, field.targets.n_target, field.near_first, field.near)
-    n_own = np.diff(field.reach_first)[chosen]
-    first = np.concatenate([[0], np.cumsum(n_own)])
-    pair = np.arange(first[-1]) + np.repeat(field.reach_first[chosen] - first[:-1], n_own)
+    first, pair = field.pairs_of(chosen)
     return _with_lists(targets, field.plate, settings, near, (first, field.reach_robot[pair]))
 
 

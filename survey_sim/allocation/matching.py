@@ -101,12 +101,13 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
     held = held.copy()
     held[extra] = -1
     is_open = request.is_open & ~field.near_any(held[held >= 0])
-    target = field.pair_target()
-    is_wanted = is_open & ((kind == STANDARD) | (kind == SKY))
-    pairs = np.flatnonzero(request.is_pair_open & is_wanted[target] & (held[field.reach_robot] < 0))
-    apart = field.xy_mm[target[pairs]] - request.start_mm[field.reach_robot[pairs]]
-    pairs = pairs[np.argsort((apart**2).sum(axis=1), kind="stable")]
-    robot, pair_target = field.reach_robot[pairs], target[pairs]
+    wanted = np.flatnonzero(is_open & ((kind == STANDARD) | (kind == SKY)))
+    first, pairs = field.pairs_of(wanted)
+    is_usable = request.is_pair_open[pairs] & (held[field.reach_robot[pairs]] < 0)
+    pairs, target = pairs[is_usable], np.repeat(wanted, np.diff(first))[is_usable]
+    apart = field.xy_mm[target] - request.start_mm[field.reach_robot[pairs]]
+    order = np.argsort((apart**2).sum(axis=1), kind="stable")
+    robot, pair_target = field.reach_robot[pairs[order]], target[order]
     n_held = (held >= 0).sum()
 
     def take(chosen: BoolArray, limit: int) -> None:

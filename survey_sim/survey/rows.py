@@ -108,8 +108,10 @@ class Rows:
 
     def _of_values(self, column: Column) -> pl.Series:
         """A column that has a single value each time that rows were added: these values."""
-        values = self._columns[column.name]
-        return pl.Series(column.name, values, strict=False, nan_to_null=column.is_nullable).cast(column.dtype)
+        values = pl.Series(column.name, self._columns[column.name], strict=False)
+        if column.is_nullable and values.dtype.is_float():
+            values = values.fill_nan(None)
+        return values.cast(column.dtype)
 
     def _of_arrays(self, column: Column) -> pl.Series:
         """A column that has arrays, of all its rows."""
