@@ -13,8 +13,8 @@ from survey_sim.plotting.timeline import draw_timeline
 def draw(run: RunTables) -> Figure:
     """Completeness of each programme, night by night."""
     figure = new_figure(height_in=3.8)
-    if not run.is_scheduled or run.science.is_empty():
-        return empty_figure(figure, "no science targets" if run.is_scheduled else "no nights were scheduled")
+    if run.nights.is_empty() or run.science.is_empty():
+        return empty_figure(figure, "no nights were scheduled" if run.nights.is_empty() else "no science targets")
     axes = figure.add_subplot()
     draw_timeline(axes, run)
     add_legend(axes, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=3, columnspacing=1.5)

@@ -28,7 +28,7 @@ def draw(run: RunTables) -> Figure:
     axes = right.add_subplot()
     axes.set_title("Completeness against time")
     draw_timeline(axes, run)
-    if run.is_scheduled:
+    if axes.get_lines():
         add_legend(axes, loc="upper left", bbox_to_anchor=(0.0, -0.16))
     return figure
 

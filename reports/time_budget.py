@@ -27,7 +27,7 @@ STEPS = {"readout_s": "readout", "configuration_time_s": "configuration", "slew_
 
 def draw(run: RunTables) -> Figure:
     """Where the nights went, and where a pointing's time goes."""
-    if not run.is_scheduled:
+    if run.nights.is_empty():
         return empty_figure(new_figure(), "no nights were scheduled")
     figure = new_figure(height_in=4.0)
     left, right = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
@@ -37,6 +37,10 @@ def draw(run: RunTables) -> Figure:
 
 
 def _draw_nights(axes: Axes, run: RunTables) -> None:
+    if not run.nights["dark_s"].sum():
+        axes.set_title("Nights")
+        say_empty(axes, "it was never dark")
+        return
     step, word = next((kind for most, kind in GATHERED.items() if len(run.nights) <= most), ("1q", "quarter of a year"))
     evening = pl.Series("evening", evening_dates(run.nights["evening_mjd"].to_numpy()))
     nights = run.nights.with_columns(evening.dt.truncate(step))

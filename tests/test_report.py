@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import polars.selectors as cs
 import pytest
 from astropy.visualization.wcsaxes import WCSAxes
 from matplotlib.axes import Axes
@@ -148,6 +149,21 @@ def test_lacking_runs_draw(variant: str, tmp_path: Path, monkeypatch: pytest.Mon
     folder = write_run(tmp_path / "run", **VARIANTS[variant])
     page = _read_page(make_report(folder))
     assert page.tags.count("img") == len(SCRIPTS)
+
+
+@pytest.mark.parametrize("change", [pl.DataFrame.clear, lambda nights: nights.with_columns(cs.ends_with("_s") * 0.0)])
+@pytest.mark.filterwarnings("error")
+def test_a_schedule_of_no_night_or_no_darkness_completes_nothing(change, tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run")
+    status = tables.read(folder, "target_status").with_columns(n_observed=0, reason=pl.lit("not-allocated"))
+    nights = change(tables.read(folder, "nights"))
+    for table, rows in {"exposures": tables.empty("exposures"), "nights": nights, "target_status": status}.items():
+        tables.write(rows, table, folder / f"{table}.parquet")
+    run = RunTables(folder)
+    assert {programme.n_observed for programme in run.programmes} == {0}
+    text = make_report(folder).read_text()
+    assert "targets complete" in text
+    assert "targets allocated" not in text
 
 
 def test_empty_figures_say_why(tmp_path: Path) -> None:

@@ -171,8 +171,8 @@ class RunTables:
 
     @property
     def is_scheduled(self) -> bool:
-        """Whether there were nights on which visits could be observed."""
-        return len(self.nights) > 0
+        """Whether the run has a schedule, be it of no night."""
+        return self.has("nights")
 
     @cached_property
     def science(self) -> pl.DataFrame:

@@ -71,7 +71,7 @@ def _skies(
 
 def _outcomes(runs: Iterable[RunTables]) -> list[str]:
     found = list(runs)
-    return [] if not found else ["allocated", *(["observed"] if all(run.is_scheduled for run in found) else [])]
+    return [] if not found else ["allocated", *(["observed"] if all(len(run.nights) for run in found) else [])]
 
 
 def _prepared(run: RunTables) -> pl.DataFrame:
