@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from survey_sim.instrument import load_instrument
 from survey_sim.motion import alone_time_s, leg_times_s, make_legs, make_trajectories
-from survey_sim.routing import kernels
+from survey_sim.routing.kernels import conflicts, coordinate, delays, parted, planned, repair, shapes
 from tests import naive_routing as naive
 
 R = 9.0
 INSTRUMENT = load_instrument("taipan-150")
-PHYSICS = kernels.Physics(2.0, 0.3, 35.0, 0.02, 163.5)
+PHYSICS = planned.Physics(2.0, 0.3, 35.0, 0.02, 163.5)
 
 
 def _knots(rng):
@@ -36,7 +36,7 @@ def test_forbidden_delays_are_those_of_brute_force(seed):
     rests = [-1, *(k for k in range(len(a[0]) - 1) if (a[1][k], a[2][k]) == (a[1][k + 1], a[2][k + 1]))]
     rest = rests[rng.integers(len(rests))]
     lo, hi = np.empty(16), np.empty(16)
-    n = kernels.forbidden_delays(*a, len(a[0]), rest, *b, len(b[0]), _box(b), R, 25.0, lo, hi)
+    n = delays.forbidden_delays(*a, len(a[0]), rest, *b, len(b[0]), _box(b), R, 25.0, lo, hi)
     assert (lo[:n] < hi[:n]).all()
     assert (hi[: max(n - 1, 0)] < lo[1:n]).all()
     for delay in rng.uniform(0, 25, 12):
@@ -52,7 +52,7 @@ def test_full_speed_straight_lines_have_one_forbidden_interval():
         (xa, ya), (xb, yb) = rng.uniform(-40, 40, (2, 2, 2))
         ta, tb = (np.array([0.0, np.hypot(x[1] - x[0], y[1] - y[0]) / 2]) for x, y in ((xa, ya), (xb, yb)))
         # All delays of either robot: as if the second started 100 s late.
-        assert kernels.forbidden_delays(ta, xa, ya, 2, -1, tb + 100.0, xb, yb, 2, _box((tb, xb, yb)), R, 300.0, lo, hi) <= 1
+        assert delays.forbidden_delays(ta, xa, ya, 2, -1, tb + 100.0, xb, yb, 2, _box((tb, xb, yb)), R, 300.0, lo, hi) <= 1
 
 
 def test_interval_ends_are_exact_contact():
@@ -60,7 +60,7 @@ def test_interval_ends_are_exact_contact():
     line = np.array([0.0, 40.0])
     t, x, y = line, line * 2 - 40, np.zeros(2)
     lo, hi = np.empty(16), np.empty(16)
-    n = kernels.forbidden_delays(t, x, y, 2, -1, t + 20.0, y, x, 2, _box((t, y, x)), R, 100.0, lo, hi)
+    n = delays.forbidden_delays(t, x, y, 2, -1, t + 20.0, y, x, 2, _box((t, y, x)), R, 100.0, lo, hi)
     assert n == 1
     assert lo[0] == pytest.approx(20 - R / np.sqrt(2), abs=1e-9)
     assert hi[0] == pytest.approx(20 + R / np.sqrt(2), abs=1e-9)
@@ -70,7 +70,7 @@ def test_both_ends_of_the_line_blocked_leave_no_delay():
     t, x, y = np.array([0.0, 22.5]), np.array([0.0, 45.0]), np.zeros(2)
     other_t, other_x = np.array([0.0, 6.0]), np.array([20.0, 32.0])
     lo, hi = np.empty(16), np.empty(16)
-    n = kernels.forbidden_delays(
+    n = delays.forbidden_delays(
         t, x, y, 2, -1, other_t, other_x, np.zeros(2), 2, _box((other_t, other_x, np.zeros(2))), R, 1e3, lo, hi
     )
     assert n == 1
@@ -80,7 +80,7 @@ def test_both_ends_of_the_line_blocked_leave_no_delay():
 
 def _tasks(start, goal):
     """Records of free robots with a patrol radius of 50 mm around their starts, theta 0."""
-    tasks = np.zeros(len(start), kernels.ROBOT)
+    tasks = np.zeros(len(start), planned.ROBOT)
     for name, values in zip(("sx", "sy", "gx", "gy", "park_x", "park_y"), np.hstack([start, goal, start]).T, strict=True):
         tasks[name] = values
     tasks["hx"], tasks["reach"], tasks["is_free"] = 1.0, 50.0, True
@@ -97,17 +97,17 @@ def test_kernel_legs_are_the_legs_of_motion(theta, x, y, is_turned):
     task = _tasks(np.zeros((1, 2)), way[1:])
     task["hx"], task["hy"] = heading
     task["reach"] = 160.0
-    plan = np.zeros(1, kernels.PLAN)
+    plan = np.zeros(1, planned.PLAN)
     for name, values in (("x", way[:, 0]), ("y", way[:, 1]), ("turned", turned), ("wait", (0.0, 4.0))):
         plan[name][0, :2] = values
-    end = kernels.build_knots(PHYSICS, task[0], plan[0], 2)
+    end = planned.build_knots(PHYSICS, task[0], plan[0], 2)
     n, knot_t, knot_x, knot_y = (plan[name][0] for name in ("n_knot", "kt", "kx", "ky"))
-    turned_s, square_s = kernels.leg_options(PHYSICS, *heading, x, y, False)
+    turned_s, square_s = planned.leg_options(PHYSICS, *heading, x, y, False)
     start_s = np.array([0.0, (turned_s if is_turned else square_s) + 4.0])
     legs = make_legs(INSTRUMENT, np.zeros((1, 2)), np.array([theta]), robot, start_s, way, turned)
     if is_turned and abs(abs(legs.rotate_deg[0]) - 45) > 1e-6:
         after = np.radians(legs.theta_deg[0])
-        assert kernels.turned_heading(*heading, x, y) == pytest.approx((np.cos(after), np.sin(after)), abs=1e-9)
+        assert planned.turned_heading(*heading, x, y) == pytest.approx((np.cos(after), np.sin(after)), abs=1e-9)
     assert end == pytest.approx(start_s[1] + np.sum(leg_times_s(INSTRUMENT, legs), axis=0)[1])
     knots = make_trajectories(INSTRUMENT, np.zeros((1, 2)), legs)
     when = np.linspace(0, end, 50)
@@ -117,7 +117,7 @@ def test_kernel_legs_are_the_legs_of_motion(theta, x, y, is_turned):
 
 @given(st.floats(-180, 179), st.floats(-40, 40), st.floats(-40, 40))
 def test_kernel_time_alone_is_that_of_motion(theta, x, y):
-    times = kernels.leg_options(PHYSICS, np.cos(np.radians(theta)), np.sin(np.radians(theta)), x, y, True)
+    times = planned.leg_options(PHYSICS, np.cos(np.radians(theta)), np.sin(np.radians(theta)), x, y, True)
     alone = alone_time_s(INSTRUMENT, np.zeros((1, 2)), np.array([theta]), np.array([[x, y]]))[0]
     assert min(times) == pytest.approx(alone, abs=1e-9)
 
@@ -128,15 +128,15 @@ def test_near_robots_are_those_that_any_way_in_time_may_meet():
     n = len(places)
     goal = places.copy()
     goal[0] = [20.0, 0.0]
-    plans = kernels.stand_still(_tasks(places, goal), np.zeros(n, kernels.PLAN))
+    plans = conflicts.stand_still(_tasks(places, goal), np.zeros(n, planned.PLAN))
     near = np.empty(n, dtype=np.int64)
 
     def found():
-        n_near = kernels.find_near(PHYSICS, plans.robot, plans.plan, plans.conflict, 0, 16.0, R, 0.0, near)
+        n_near = conflicts.find_near(PHYSICS, plans.robot, plans.plan, plans.conflict, 0, 16.0, R, 0.0, near)
         return near[:n_near].tolist()
 
     assert sorted(found()) == [1, 3, 5]
-    kernels.start_directly(PHYSICS, plans, R, 0.0)
+    shapes.start_directly(PHYSICS, plans, R, 0.0)
     assert found() == [5, 3, 1]
 
 
@@ -162,25 +162,25 @@ def test_parted_is_what_a_flood_fill_finds(seed):
     edge = reach - np.hypot(*(fixed - park).T)
     if (np.abs(gap - 2 * R) < 0.8).any() or (np.abs(edge - R) < 0.8).any():
         return
-    found = kernels.is_parted(*start, *goal, fixed, R, *park, reach, 163.5)
+    found = parted.is_parted(*start, *goal, fixed, R, *park, reach, 163.5)
     assert found == naive.is_parted(start, goal, fixed, R, park, reach, 163.5)
 
 
 def test_ring_of_robots_parts_inside_from_outside():
     angle = np.arange(6) * np.pi / 3
     ring = 15.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    assert kernels.is_parted(0.0, 0.0, 30.0, 5.0, ring, R, 0.0, 0.0, 50.0, 163.5)
-    assert not kernels.is_parted(0.0, 0.0, 30.0, 5.0, ring[1:], R, 0.0, 0.0, 50.0, 163.5)
+    assert parted.is_parted(0.0, 0.0, 30.0, 5.0, ring, R, 0.0, 0.0, 50.0, 163.5)
+    assert not parted.is_parted(0.0, 0.0, 30.0, 5.0, ring[1:], R, 0.0, 0.0, 50.0, 163.5)
     # A chain from edge to edge of the patrol disc.
     wall = np.column_stack([np.zeros(7), np.arange(-3, 4) * 16.0])
-    assert kernels.is_parted(-20.0, 0.0, 20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
-    assert not kernels.is_parted(-20.0, 0.0, -20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
+    assert parted.is_parted(-20.0, 0.0, 20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
+    assert not parted.is_parted(-20.0, 0.0, -20.0, 3.0, wall, R, 0.0, 0.0, 50.0, 163.5)
 
 
 # A robot whose way leads over another that has hardly anywhere to go: with a plan that ends a rounding error after the
 # bound, the search for the pair's least duration once went on for ever.
 _TIGHT_BOUND_S = 17.017137617342993
-_TIGHT_PAIR = np.zeros(2, dtype=kernels.ROBOT)
+_TIGHT_PAIR = np.zeros(2, dtype=planned.ROBOT)
 for _name, _values in {
     **{"sx": (108.45, 120.5), "sy": (104.35606115602485, 83.48484892481989)},
     **{"gx": (125.80280661681235, 119.13443971463191), "gy": (77.41301515385823, 83.4572590815885)},
@@ -198,7 +198,7 @@ class _EndlessError(Exception):
 
 def _least_of_tight_pair(tolerance_s, seed):
     """Least duration that is found, s; _EndlessError after too many searches."""
-    n_search, search = 0, kernels.repair
+    n_search, search = 0, repair.repair
 
     def counted(*args):
         nonlocal n_search
@@ -207,18 +207,18 @@ def _least_of_tight_pair(tolerance_s, seed):
             raise _EndlessError
         return search(*args)
 
-    plans = kernels.stand_still(_TIGHT_PAIR.copy(), np.zeros(2, kernels.PLAN))
+    plans = conflicts.stand_still(_TIGHT_PAIR.copy(), np.zeros(2, planned.PLAN))
     plans = plans._replace(robot=plans.robot.view(np.recarray))
-    least = getattr(kernels.least_of_pair, "py_func", kernels.least_of_pair)
+    least = getattr(coordinate.least_of_pair, "py_func", coordinate.least_of_pair)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernels, "repair", counted)
-        patch.setattr(kernels, "SAME_DELAY_S", tolerance_s)
-        effort, rng = kernels.Effort(12, 40, 60, 100, 300), np.random.default_rng(seed)
+        patch.setattr(coordinate, "repair", counted)
+        patch.setattr(coordinate, "SAME_DELAY_S", tolerance_s)
+        effort, rng = coordinate.Effort(12, 40, 60, 100, 300), np.random.default_rng(seed)
         return least(PHYSICS, plans, rng, 0, 1, _TIGHT_BOUND_S, effort, R - 0.9e-6, 0.0)
 
 
 @pytest.mark.parametrize("seed", [2, 5, 6])
 def test_a_pair_that_ends_a_rounding_error_late_is_at_the_bound(seed):
-    assert _least_of_tight_pair(kernels.SAME_DELAY_S, seed) == _TIGHT_BOUND_S
+    assert _least_of_tight_pair(delays.SAME_DELAY_S, seed) == _TIGHT_BOUND_S
     with pytest.raises(_EndlessError):
         _least_of_tight_pair(0.0, seed)

@@ -12,17 +12,17 @@ pair). So where the search fails at the bound, the pairs still in conflict are p
 move, for the least duration of each; all robots are then planned in the longest of these, and longer only if that fails.
 
 Complete in practice, not in theory. A robot that fixed robots part from its goal is `unreachable`, and that is proved
-(`kernels.is_parted`); one that the search gives up is `no-path`; one whose goal such a robot stands on is `deadlock`.
+(`parted.is_parted`); one that the search gives up is `no-path`; one whose goal such a robot stands on is `deadlock`.
 """
 
 import numpy as np
 import numpy.typing as npt
 
 from survey_sim.motion import FloatArray, Legs, make_legs
-from survey_sim.routing import kernels
+from survey_sim.routing.kernels import conflicts, coordinate, parted, planned, shapes
 from survey_sim.routing.problem import Problem, RoutingSettings, Solution, UnroutedReason
 
-# Steps of the search (`kernels.Effort`); those at one duration, and as many before a robot is given up.
+# Steps of the search (`coordinate.Effort`); those at one duration, and as many before a robot is given up.
 N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, N_PATIENT = 12, 40, 60, 100, 2000
 
 
@@ -40,20 +40,20 @@ def _plan(problem: Problem, settings: RoutingSettings, margin: float, rng: np.ra
     reason = find_unreachable(problem)
     is_fixed = ~problem.plate.is_live | (reason != UnroutedReason.ARRIVED)
     plans = new_plans(problem, is_fixed)
-    kernels.start_directly(phys, plans, separation, margin)
+    shapes.start_directly(phys, plans, separation, margin)
     slow_pair = np.full(2, -1)
     if plans.n_conflict.any():
         bound = float(plans.robot["alone"].max())
         kept = new_plans(problem, is_fixed)
-        effort = kernels.Effort(N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, settings.n_repair)
-        while not kernels.coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_pair):
+        effort = coordinate.Effort(N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, settings.n_repair)
+        while not coordinate.coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_pair):
             if effort.quick < N_PATIENT:
                 effort = effort._replace(quick=N_PATIENT)
                 continue
-            robot = kernels.ground_worst(plans, separation, margin)
+            robot = conflicts.ground_worst(plans, separation, margin)
             reason[robot] = UnroutedReason.NO_PATH
             for other in _cascade(problem, plans):
-                kernels.ground(plans, other, separation, margin)
+                conflicts.ground(plans, other, separation, margin)
                 reason[other] = UnroutedReason.DEADLOCK
     return Solution(legs_of(problem, plans), reason, tuple(slow_pair[slow_pair >= 0].tolist()))
 
@@ -73,7 +73,7 @@ def find_unreachable(problem: Problem) -> npt.NDArray[np.int8]:
             near = np.hypot(*(fixed - plate.park_mm[i]).T) < plate.patrol_radius_mm[i] + problem.separation_mm
             if (np.hypot(*(fixed[near] - problem.goal_mm[i]).T) < problem.separation_mm).any():
                 found.append((i, UnroutedReason.DEADLOCK))
-            elif kernels.is_parted(
+            elif parted.is_parted(
                 *problem.start_mm[i],
                 *problem.goal_mm[i],
                 fixed[near],
@@ -91,10 +91,10 @@ def find_unreachable(problem: Problem) -> npt.NDArray[np.int8]:
     return reason
 
 
-def physics(problem: Problem) -> kernels.Physics:
+def physics(problem: Problem) -> planned.Physics:
     """The instrument's constants for kernels."""
     instrument = problem.plate.instrument
-    return kernels.Physics(
+    return planned.Physics(
         instrument.coarse_speed_mm_s,
         instrument.precise_speed_mm_s,
         instrument.rotation_speed_deg_s,
@@ -103,11 +103,11 @@ def physics(problem: Problem) -> kernels.Physics:
     )
 
 
-def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], plan_type: np.dtype = kernels.PLAN) -> kernels.Plans:
+def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], plan_type: np.dtype = planned.PLAN) -> conflicts.Plans:
     """Plans in which nobody moves yet; goals of fixed robots are their starts."""
     goal: FloatArray = np.where(is_fixed[:, None], problem.start_mm, problem.goal_mm)
     theta = np.radians(problem.start_theta_deg)
-    robots = np.zeros(problem.n_robot, kernels.ROBOT)
+    robots = np.zeros(problem.n_robot, planned.ROBOT)
     robots["sx"], robots["sy"] = problem.start_mm.T
     robots["gx"], robots["gy"] = goal.T
     robots["hx"], robots["hy"] = np.cos(theta), np.sin(theta)
@@ -115,10 +115,10 @@ def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], plan_type: np.d
     robots["reach"] = problem.plate.patrol_radius_mm
     robots["alone"] = np.where(is_fixed, 0.0, problem.alone_s)
     robots["is_free"] = ~is_fixed
-    return kernels.stand_still(robots, np.zeros(problem.n_robot, plan_type))
+    return conflicts.stand_still(robots, np.zeros(problem.n_robot, plan_type))
 
 
-def _cascade(problem: Problem, plans: kernels.Plans) -> list[int]:
+def _cascade(problem: Problem, plans: conflicts.Plans) -> list[int]:
     """Robots whose goals are nearer than the separation to one that stays, and to those that stay for that."""
     is_free = plans.robot["is_free"]
     stays = ~is_free
@@ -133,7 +133,7 @@ def _cascade(problem: Problem, plans: kernels.Plans) -> list[int]:
         stays[joins] = True
 
 
-def legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
+def legs_of(problem: Problem, plans: conflicts.Plans) -> Legs:
     """Legs of plans."""
     plan = plans.plan
     n_leg = plan["n_leg"]
@@ -144,7 +144,7 @@ def legs_of(problem: Problem, plans: kernels.Plans) -> Legs:
         problem.start_mm,
         problem.start_theta_deg,
         robot.astype(np.int32),
-        kernels.leg_starts(physics(problem), plans)[robot, leg],
+        planned.leg_starts(physics(problem), plans)[robot, leg],
         np.column_stack([plan["x"][robot, leg], plan["y"][robot, leg]]),
         plan["turned"][robot, leg] != 0,
     )

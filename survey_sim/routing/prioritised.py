@@ -13,8 +13,8 @@ that hold each other's goals stay unrouted, and nobody moves to make way.
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.routing import kernels
 from survey_sim.routing.coordinated import legs_of, new_plans, physics
+from survey_sim.routing.kernels import conflicts, lattice, lights, planned, repair
 from survey_sim.routing.problem import Problem, RoutingSettings, Solution, UnroutedReason
 
 # Lattice nodes that one search may open.
@@ -23,34 +23,34 @@ N_EXPAND = 20_000
 
 def route_traffic_light(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> Solution:
     """Legs and reasons."""
-    plans = new_plans(problem, ~problem.plate.is_live, kernels.LATTICE_PLAN)
+    plans = new_plans(problem, ~problem.plate.is_live, planned.LATTICE_PLAN)
     waiting = _plan_straight(problem, plans, rng)
     return Solution(legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.BLOCKED_STRAIGHT))
 
 
 def route_cooperative_astar(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> Solution:
     """Legs and reasons."""
-    plans = new_plans(problem, ~problem.plate.is_live, kernels.LATTICE_PLAN)
+    plans = new_plans(problem, ~problem.plate.is_live, planned.LATTICE_PLAN)
     waiting = _plan_straight(problem, plans, rng)
-    phys, scratch = physics(problem), np.zeros(1, kernels.LATTICE_PLAN)
+    phys, scratch = physics(problem), np.zeros(1, planned.LATTICE_PLAN)
     has_changed = True
     while waiting and has_changed:
-        left = [i for i in waiting if not kernels.plan_on_lattice(phys, plans, i, problem.separation_mm, scratch, N_EXPAND)]
+        left = [i for i in waiting if not lattice.plan_on_lattice(phys, plans, i, problem.separation_mm, scratch, N_EXPAND)]
         has_changed, waiting = len(left) < len(waiting), left
     return Solution(legs_of(problem, plans), _reasons(problem, waiting, UnroutedReason.NO_PATH))
 
 
-def _plan_straight(problem: Problem, plans: kernels.Plans, rng: np.random.Generator) -> list[int]:
+def _plan_straight(problem: Problem, plans: conflicts.Plans, rng: np.random.Generator) -> list[int]:
     """Plan whoever can go straight, the furthest first; returns those that cannot."""
     phys = physics(problem)
-    scratch, room = np.zeros(2, kernels.LATTICE_PLAN), np.zeros(1, kernels.ROOM)
+    scratch, room = np.zeros(2, planned.LATTICE_PLAN), np.zeros(1, repair.ROOM)
     near = np.zeros(problem.n_robot, dtype=np.int64)
     movers = np.flatnonzero(problem.has_to_move)
     waiting = movers[np.argsort(-problem.alone_s[movers], kind="stable")].tolist()
     has_changed = True
     while waiting and has_changed:
         left = [
-            i for i in waiting if not kernels.plan_with_stop(phys, plans, rng, i, problem.separation_mm, scratch, room, near)
+            i for i in waiting if not lights.plan_with_stop(phys, plans, rng, i, problem.separation_mm, scratch, room, near)
         ]
         has_changed, waiting = len(left) < len(waiting), left
     return waiting

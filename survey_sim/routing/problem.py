@@ -13,7 +13,7 @@ from survey_sim.errors import InputError
 from survey_sim.extensions import check_name
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, alone_time_s
-from survey_sim.routing.kernels import has_near
+from survey_sim.routing.kernels.geometry import has_near
 from survey_sim.settings import Settings
 
 ROUTER_NAMES = ("simple-vector", "traffic-light", "cooperative-astar", "coordinated")

@@ -8,7 +8,7 @@ or dead robot, one that is itself blocked, or both ends of another's line (Figur
 import numpy as np
 
 from survey_sim.motion import leg_times_s, make_legs
-from survey_sim.routing.kernels import simple_vector_batches
+from survey_sim.routing.kernels.batches import simple_vector_batches
 from survey_sim.routing.problem import Problem, Solution, UnroutedReason
 
 

@@ -10,32 +10,32 @@ from itertools import combinations
 import numpy as np
 from rich.progress import track
 
-from survey_sim.routing import kernels
 from survey_sim.routing.coordinated import new_plans, physics
+from survey_sim.routing.kernels import conflicts, coordinate, planned, shapes
 from survey_sim.routing.problem import Problem, check_problem
 from tests.benchmarks.routing_table import matched
 
-LONG = kernels.Effort(sample=12, first=300, pair=300, quick=300, shorten=600)
-LONGEST = kernels.Effort(sample=12, first=2000, pair=1000, quick=1000, shorten=6000)
+LONG = coordinate.Effort(sample=12, first=300, pair=300, quick=300, shorten=600)
+LONGEST = coordinate.Effort(sample=12, first=2000, pair=1000, quick=1000, shorten=6000)
 AT_BOUND = 1 + 1e-9
 
 
-def least_of_pair_s(problem: Problem, pair: tuple[int, int], bound_s: float, effort: kernels.Effort) -> float:
+def least_of_pair_s(problem: Problem, pair: tuple[int, int], bound_s: float, effort: coordinate.Effort) -> float:
     """Least duration from the bound on that is found for two robots, were they alone."""
     robots = np.ascontiguousarray(new_plans(problem, ~problem.plate.is_live).robot[list(pair)])
-    plans, kept = (kernels.stand_still(robots, np.zeros(2, kernels.PLAN)) for _ in range(2))
+    plans, kept = (conflicts.stand_still(robots, np.zeros(2, planned.PLAN)) for _ in range(2))
     phys, separation = physics(problem), problem.separation_mm
-    kernels.start_directly(phys, plans, separation, 0.0)
+    shapes.start_directly(phys, plans, separation, 0.0)
     if not plans.n_conflict.any():
         return bound_s
-    kernels.coordinate(phys, plans, kept, np.random.default_rng(0), bound_s, effort, separation, 0.0, np.full(2, -1))
-    return max(bound_s, kernels.last_arrival(plans))
+    coordinate.coordinate(phys, plans, kept, np.random.default_rng(0), bound_s, effort, separation, 0.0, np.full(2, -1))
+    return max(bound_s, conflicts.last_arrival(plans))
 
 
 def worst_pair_s(problem: Problem, bound_s: float) -> float:
     """The longest of the least durations of all pairs in conflict."""
     plans = new_plans(problem, ~problem.plate.is_live)
-    kernels.start_directly(physics(problem), plans, problem.separation_mm, 0.0)
+    shapes.start_directly(physics(problem), plans, problem.separation_mm, 0.0)
     worst = bound_s
     for pair in combinations(range(problem.n_robot), 2):
         if plans.conflict[pair] and least_of_pair_s(problem, pair, bound_s, LONG) > worst * AT_BOUND:
