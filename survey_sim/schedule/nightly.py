@@ -41,8 +41,8 @@ IntArray = npt.NDArray[np.int64]
 _STREAM_SUCCESS = 2
 # Times that nights are observed with estimates before they are observed one by one.
 N_GUESS = 2
-# Times as many nights as the robots ask for that are scheduled ahead at most.
-MOST_AHEAD = 4
+# Times as many nights as the robots ask for that are scheduled ahead at most: one wrong guess costs the nights after it.
+MOST_AHEAD = 2
 
 
 @dataclass(frozen=True)
