@@ -321,7 +321,7 @@ def _settle(
     best = least_costly(first, others, N_EXCHANGE)
     if best.blamed:
         again = (replace(best, routes=_routes(job, number, best.visit, start, attempt)) for attempt in range(1, N_AGAIN + 1))
-        best = min(best, *again, key=lambda tried: tried.cost)
+        best = min([best, *again], key=lambda tried: tried.cost)
     return best.visit, best.routes
 
 
