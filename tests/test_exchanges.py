@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from survey_sim.survey.exchanges import least_costly
+from survey_sim.survey.exchanges import PATIENCE_IF_FAR, least_costly
 
 
 @dataclass(frozen=True)
@@ -13,6 +13,7 @@ class Visit:
     name: str
     time_s: float
     is_above: bool = True
+    is_far: bool = False
 
     @property
     def cost(self) -> tuple[int, float]:
@@ -50,6 +51,16 @@ def test_the_search_ends_after_so_many_trials_with_the_best_so_far():
     assert least_costly(first, others, 1) is first
     assert least_costly(first, others, 3) is better
     assert len(seen) == 4
+
+
+def test_the_search_goes_on_longer_while_a_path_is_far_beyond_its_bound():
+    far, near = Visit("b", 9.0, is_far=True), Visit("c", 8.0)
+    first = Visit("a", 10.0, is_far=True)
+    seen: list[str] = []
+    assert least_costly(first, graph({"a": [None] * 4 + [far, near, None, None]}, seen), 2) is near
+    assert len(seen) == 2 * PATIENCE_IF_FAR
+    assert least_costly(near, graph({"c": [None] * 9}, seen := []), 2) is near
+    assert len(seen) == 2
 
 
 def test_of_equal_visits_the_first_is_kept_and_nothing_left_to_try_ends_it():

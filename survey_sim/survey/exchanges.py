@@ -12,6 +12,8 @@ from survey_sim.routing import RoutedPath, UnroutedReason
 # crosses are better than robots that must go around each other.
 EXCESS_WEIGHT = 2.0
 FAR_FRAC, FAR_WEIGHT = 0.05, 10.0
+# Times as many exchanges are tried while a path is far beyond its bound.
+PATIENCE_IF_FAR = 3
 # Who comes next is a little further behind with each exchange that was tried from the same visit.
 TRIED_FRAC = 0.01
 
@@ -27,6 +29,10 @@ class Tried(Protocol):
     def blamed(self) -> Sequence[int]:
         """Robots that are in the way, or do not arrive."""
 
+    @property
+    def is_far(self) -> bool:
+        """Whether a path is far beyond its bound (`is_any_far`)."""
+
 
 T = TypeVar("T", bound=Tried)
 
@@ -37,22 +43,32 @@ def cost_of(*paths: RoutedPath) -> tuple[int, float]:
     return n_unrouted, sum(_weighted_s(path.configuration_time_s, path.lower_bound_s) for path in paths)
 
 
+def is_any_far(*paths: RoutedPath) -> bool:
+    """Whether one of the paths takes more than `FAR_FRAC` longer than its bound."""
+    return any(_far_s(path.configuration_time_s, path.lower_bound_s) > 0.0 for path in paths)
+
+
 def _weighted_s(time_s: float, bound_s: float) -> float:
-    far_s = max(0.0, time_s - (1.0 + FAR_FRAC) * bound_s)
-    return time_s + EXCESS_WEIGHT * (time_s - bound_s) + FAR_WEIGHT * far_s
+    return time_s + EXCESS_WEIGHT * (time_s - bound_s) + FAR_WEIGHT * _far_s(time_s, bound_s)
+
+
+def _far_s(time_s: float, bound_s: float) -> float:
+    return max(0.0, time_s - (1.0 + FAR_FRAC) * bound_s)
 
 
 def least_costly(first: T, others: Callable[[T], Iterator[T | None]], n_trial: int) -> T:
-    """The visit of least cost that is found from the first on, in so many trials at most.
+    """The visit of least cost that is found from the first on.
 
     Parameters
     ----------
+    n_trial
+        Trials at most, `PATIENCE_IF_FAR` times as many while the best found has a path far beyond its bound.
     others
         What a visit becomes by one exchange, one after another; None where one cannot be made.
     """
     best, serial = first, 0
     queue = [(*first.cost, serial, 0, first, others(first))]
-    while queue and best.blamed and serial < n_trial:
+    while queue and best.blamed and serial < n_trial * (PATIENCE_IF_FAR if best.is_far else 1):
         n_unrouted, time_s, number, n_tried, _, exchanges = visit = heappop(queue)
         for other in exchanges:
             serial += 1

@@ -24,7 +24,7 @@ from survey_sim.instrument import Plate
 from survey_sim.motion import alone_time_s
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.simulation import SimulationSettings, execute, simulate
-from survey_sim.survey.exchanges import cost_of, least_costly
+from survey_sim.survey.exchanges import cost_of, is_any_far, least_costly
 from survey_sim.survey.rows import PlayedPath, TileRows
 from survey_sim.tiling import Planned
 
@@ -32,7 +32,7 @@ from survey_sim.tiling import Planned
 PLAN_KEPT_FRAC = 0.99
 # More visits than planned that a tile may make for what calibration displaced: a galaxy loses all five for one.
 MOST_VISITS_MORE = 3
-# Exchanges tried for a visit in which robots hold a path up.
+# Exchanges tried for a visit in which robots hold a path up; more if far beyond its bound (`least_costly`).
 N_EXCHANGE = 24
 # Times that the paths of a visit are routed again, by other random steps, where exchanges leave one above its bound.
 N_AGAIN = 6
@@ -118,6 +118,11 @@ class Settled:
     def blamed(self) -> tuple[int, ...]:
         """Robots that are in the way, or do not arrive."""
         return self.routes.blamed
+
+    @property
+    def is_far(self) -> bool:
+        """Whether one of the three paths is far beyond its bound."""
+        return is_any_far(self.routes.to_target, self.routes.from_park, self.routes.home)
 
 
 def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:

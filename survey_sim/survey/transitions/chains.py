@@ -19,7 +19,7 @@ from survey_sim.motion import alone_time_s
 from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
 from survey_sim.schema import TARGET_KINDS
 from survey_sim.simulation import simulate
-from survey_sim.survey.exchanges import cost_of, least_costly
+from survey_sim.survey.exchanges import cost_of, is_any_far, least_costly
 from survey_sim.survey.rows import PlayedPath, Rows
 from survey_sim.survey.tile import REASON_CODES, State, stream
 
@@ -128,6 +128,11 @@ class Way:
     def cost(self) -> tuple[int, float]:
         """Robots that do not arrive, and time, s."""
         return cost_of(self.routed)
+
+    @property
+    def is_far(self) -> bool:
+        """Whether it is far beyond its bound."""
+        return is_any_far(self.routed)
 
     @property
     def blamed(self) -> tuple[int, ...]:
