@@ -127,12 +127,12 @@ class VisitRequest:
 
 def make_field(targets: FieldTargets, plate: Plate, settings: AllocationSettings) -> Field:
     """Lists of neighbours and of robots in reach, and the worth of each target."""
-    xy = _positions(targets)
+    xy = np.ascontiguousarray(np.column_stack([targets.x_mm, targets.y_mm]))
     is_on_plate = targets.is_on_plate(plate.instrument.plate_radius_mm)
     near = near_lists(targets.x_mm, targets.y_mm, plate.instrument.min_separation_mm)
     reach_mm = plate.patrol_radius_mm * np.where(plate.is_live, 1.0, np.nan)
     reach = reach_lists(plate.park_mm, reach_mm, plate.is_guide, xy, targets.kind == GUIDE, is_on_plate)
-    return _with_lists(targets, plate, settings, near, reach)
+    return _with_lists(targets, plate, settings, xy, is_on_plate, near, reach)
 
 
 def part_of_field(field: Field, chosen: IntArray, targets: FieldTargets, settings: AllocationSettings) -> Field:
@@ -147,17 +147,16 @@ def part_of_field(field: Field, chosen: IntArray, targets: FieldTargets, setting
     """
     near = near_among(chosen, field.targets.n_target, field.near_first, field.near)
     first, pair = field.pairs_of(chosen)
-    return _with_lists(targets, field.plate, settings, near, (first, field.reach_robot[pair]))
-
-
-def _positions(targets: FieldTargets) -> FloatArray:
-    return np.ascontiguousarray(np.column_stack([targets.x_mm, targets.y_mm]))
+    xy, is_on_plate = field.xy_mm[chosen], field.is_on_plate[chosen]
+    return _with_lists(targets, field.plate, settings, xy, is_on_plate, near, (first, field.reach_robot[pair]))
 
 
 def _with_lists(
     targets: FieldTargets,
     plate: Plate,
     settings: AllocationSettings,
+    xy_mm: FloatArray,
+    is_on_plate: BoolArray,
     near: tuple[IntArray, npt.NDArray[np.int32]],
     reach: tuple[IntArray, npt.NDArray[np.int32]],
 ) -> Field:
@@ -167,8 +166,8 @@ def _with_lists(
         plate=plate,
         settings=settings,
         minima=Minima.of(settings, plate),
-        xy_mm=_positions(targets),
-        is_on_plate=targets.is_on_plate(plate.instrument.plate_radius_mm),
+        xy_mm=xy_mm,
+        is_on_plate=is_on_plate,
         value=1.0 + settings.priority_gain * (targets.priority - low) / (high - low),
         sector=np.where(targets.kind == SKY, sectors(targets.x_mm, targets.y_mm, settings.sky_regions), -1),
         near_first=near[0],

@@ -97,6 +97,15 @@ def _crosses_held(r, t, start_xy, xy, held):
 
 
 @kernel
+def _is_near_marked(t, first, near, is_marked):
+    """Whether any target near t is marked (n_target,)."""
+    for k in range(first[t], first[t + 1]):  # noqa: SIM110 - a kernel has no any() of a generator
+        if is_marked[near[k]]:
+            return True
+    return False
+
+
+@kernel
 def pick_apart(candidates, limit, first, near, is_open, is_picked):
     """Pick targets in the order given, none near one picked before; the number picked now.
 
@@ -113,14 +122,7 @@ def pick_apart(candidates, limit, first, near, is_open, is_picked):
     for t in candidates:
         if n >= limit:
             break
-        if is_picked[t] or not is_open[t]:
-            continue
-        is_apart = True
-        for k in range(first[t], first[t + 1]):
-            if is_picked[near[k]]:
-                is_apart = False
-                break
-        if is_apart:
+        if is_open[t] and not is_picked[t] and not _is_near_marked(t, first, near, is_picked):
             is_picked[t] = True
             n += 1
     return n
@@ -148,14 +150,7 @@ def note_lost(held, is_open, is_science, priority, first, near, reach_first, rea
         if t >= 0:
             is_held[t] = True
     for t in range(len(is_open)):
-        if not is_open[t] or is_held[t]:
-            continue
-        is_clear = True
-        for k in range(first[t], first[t + 1]):
-            if is_held[near[k]]:
-                is_clear = False
-                break
-        if not is_clear:
+        if not is_open[t] or is_held[t] or _is_near_marked(t, first, near, is_held):
             continue
         n_clear[t] += 1
         for k in range(reach_first[t], reach_first[t + 1]):
