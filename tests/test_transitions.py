@@ -7,7 +7,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from survey_sim.allocation import has_room, match_again, rematch, resting_places
+from survey_sim.allocation import match_again, rematch, resting_places
+from survey_sim.allocation.resting import has_room
 from survey_sim.instrument import load_instrument, make_plate
 from survey_sim.routing import RoutingSettings, route
 from survey_sim.survey.tile import State, stream

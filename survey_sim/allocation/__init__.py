@@ -12,7 +12,7 @@ from survey_sim.allocation.minima import Minima
 from survey_sim.allocation.pooling import plan_visits
 from survey_sim.allocation.realisations import Realisations
 from survey_sim.allocation.rematch import match_again, match_around
-from survey_sim.allocation.resting import has_room, resting_places
+from survey_sim.allocation.resting import rest, resting_places
 from survey_sim.allocation.session import ALLOCATORS, Allocator, Session, VisitAllocation, start_allocation
 from survey_sim.allocation.settings import ALGORITHMS, AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets
@@ -32,13 +32,13 @@ __all__ = [
     "VisitRequest",
     "completeness_bound",
     "crossings",
-    "has_room",
     "ideal_completeness",
     "make_field",
     "match_again",
     "match_around",
     "part_of_field",
     "plan_visits",
+    "rest",
     "resting_places",
     "start_allocation",
 ]

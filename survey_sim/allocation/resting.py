@@ -1,7 +1,10 @@
 """Where an idle robot may rest instead of the nearest place, so that it is in fewer robots' way."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from survey_sim.allocation.field import BoolArray
 from survey_sim.allocation.kernels.untangle import tangles_of_places
 from survey_sim.allocation.targets import FloatArray
 from survey_sim.instrument import Plate
@@ -42,6 +45,13 @@ def resting_places(plate: Plate, start_mm: FloatArray, goal_mm: FloatArray, robo
         if len(known) > N_PLACE:
             break
     return np.ascontiguousarray(known[1:])
+
+
+def rest(plate: Plate, is_idle: BoolArray, goal_mm: FloatArray, places: Mapping[int, FloatArray]) -> None:
+    """Let idle robots rest at these places (by robot, mm), as far as there is room; fills in `goal_mm` (n_robot, 2)."""
+    for robot, place_mm in places.items():
+        if is_idle[robot] and has_room(plate, goal_mm, robot, place_mm):
+            goal_mm[robot] = place_mm
 
 
 def has_room(plate: Plate, goal_mm: FloatArray, robot: int, place_mm: FloatArray) -> bool:

@@ -16,7 +16,7 @@ from survey_sim.allocation.kernels.lists import reach_lists
 from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.allocation.matching import choose_matching, exchanged
 from survey_sim.allocation.planning import Planner
-from survey_sim.allocation.resting import has_room, resting_places
+from survey_sim.allocation.resting import rest, resting_places
 from survey_sim.allocation.settings import AllocationSettings, LostReason
 from survey_sim.allocation.targets import FieldTargets, FloatArray, IntArray
 from survey_sim.extensions import load
@@ -176,9 +176,7 @@ class Session:
     def rested(self, visit: VisitAllocation, places: Mapping[int, FloatArray]) -> VisitAllocation:
         """The same visit, idle robots resting at these places (by robot), as far as there is room for them."""
         plate, start_mm, goal_mm = self.field.plate, self._request.start_mm, visit.goal_mm.copy()
-        for robot, place in places.items():
-            if visit.target[robot] < 0 and has_room(plate, goal_mm, robot, place):
-                goal_mm[robot] = place
+        rest(plate, visit.target < 0, goal_mm, places)
         return _make_visit(
             self.field, visit.visit_id, visit.target, start=visit.start, start_mm=start_mm, goal_mm=goal_mm
         )  # fmt: skip

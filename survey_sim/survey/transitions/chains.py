@@ -12,7 +12,7 @@ import numpy.typing as npt
 import polars as pl
 
 from survey_sim import tables
-from survey_sim.allocation import has_room, match_again, match_around, resting_places
+from survey_sim.allocation import match_again, match_around, rest, resting_places
 from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate
 from survey_sim.motion import alone_time_s
@@ -240,9 +240,7 @@ def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
         return Way(giver, goal_mm, path, barred, places)
 
     def tried(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Way | None:
-        for robot, place in places.items():
-            if giver[robot] < 0 and has_room(plate, goal_mm, robot, place):
-                goal_mm[robot] = place
+        rest(plate, giver < 0, goal_mm, places)
         key = goal_mm.tobytes()
         alone_s = alone_time_s(instrument, state.position_mm, state.theta_deg, goal_mm).max()
         if key in costs or (0, alone_s) > min(costs.values()):
