@@ -177,30 +177,30 @@ class RunTables:
     @cached_property
     def science(self) -> pl.DataFrame:
         """Science targets with what became of them: `is_allocated`, `is_observed` (all wanted visits), `reason`."""
-        targets = tables.scan(self.folder, "targets").filter(pl.col("kind") == "science")
-        status = self.scan("target_status").select("target_id", "reason", has_status=pl.lit(True))
-        return (
-            targets.join(self._allocated(), on="target_id", how="left", maintain_order="left")
-            .join(status, on="target_id", how="left", maintain_order="left")
-            .select(
-                "survey",
-                pl.col("programme").fill_null("science").cast(pl.Categorical),
-                "tile_id",
-                "ra_deg",
-                "dec_deg",
-                "mag",
-                is_allocated=pl.col("n_visit") >= pl.max_horizontal("wanted_visits", 1),
-                is_observed=pl.col("has_status").fill_null(False) & pl.col("reason").is_null(),
-                reason=pl.col("reason").cast(pl.Categorical),
-            )
-            .with_columns(pl.col("is_allocated").fill_null(False))
-            .collect()
+        is_science = pl.col("kind") == "science"
+        columns = ("target_id", "survey", "programme", "tile_id", "ra_deg", "dec_deg", "mag", "wanted_visits")
+        targets = tables.scan(self.folder, "targets").filter(is_science).select(columns).collect()
+        reached = self.scan("allocations").filter(is_science).select("target_id").collect()["target_id"].to_numpy()
+        status = self.scan("target_status").select("target_id", "reason").collect()
+        # A target's number is its place among all: looking it up is much cheaper than a join of millions.
+        target_id = targets["target_id"].to_numpy()
+        n_id = int(target_id.max(initial=-1)) + 1
+        n_visit = np.bincount(reached, minlength=n_id)[target_id]
+        row = np.full(n_id, len(status))
+        row[status["target_id"].to_numpy()] = np.arange(len(status))
+        row = row[target_id]
+        reason = pl.concat([status["reason"], pl.Series("reason", [None], dtype=pl.String)]).cast(pl.Categorical)[row]
+        return targets.select(
+            "survey",
+            pl.col("programme").fill_null("science").cast(pl.Categorical),
+            "tile_id",
+            "ra_deg",
+            "dec_deg",
+            "mag",
+            is_allocated=pl.Series(n_visit) >= pl.max_horizontal("wanted_visits", 1),
+            is_observed=pl.Series(row < len(status)) & reason.is_null(),
+            reason=reason,
         )
-
-    def _allocated(self) -> pl.LazyFrame:
-        """Visits in which a robot reaches each science target: `target_id`, `n_visit`."""
-        reached = self.scan("allocations").filter(pl.col("kind") == "science").select("target_id")
-        return reached.group_by("target_id").agg(n_visit=pl.len())
 
     @cached_property
     def surveys(self) -> list[str]:

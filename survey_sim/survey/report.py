@@ -6,8 +6,9 @@ import json
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import jinja2
 import polars as pl
@@ -52,19 +53,8 @@ class Figures:
     """Figures drawn for a page; the page asks for them by name, and at its end for those that it has not named."""
 
     scripts: Mapping[str, Script]
-    images: dict[str, Image] = field(default_factory=dict)
+    images: Mapping[str, Image]
     _shown: set[str] = field(default_factory=set)
-
-    @classmethod
-    def drawn(cls, run: RunTables, reports: Path, folder: Path, workers: Workers) -> Self:
-        """All scripts of a folder, drawn and saved: by each worker of this machine some; a cluster may lack the files."""
-        figures = cls(find_scripts(reports))
-        near = workers if workers.scheduler is None else Workers()
-        n = max(1, near.n)
-        shares = [tuple(figures.scripts)[first::n] for first in range(n)]
-        for images in near.stream(Drawing.draw, [Drawing(names, reports, run, folder) for names in shares]):
-            figures.images |= images
-        return figures
 
     def show(self, name: str) -> Markup:
         """An HTML figure: the image itself, its title and its caption."""
@@ -103,15 +93,17 @@ def make_report(run_dir: Path, workers: Workers | None = None) -> Path:
     """
     run, reports = RunTables(run_dir), data_folder("reports")
     folder = run_dir / "report"
-    figures = Figures.drawn(run, reports, folder / "figures", workers or Workers())
+    scripts = find_scripts(reports)
+    drawn = _begin_drawing(tuple(scripts), reports, run, folder / "figures", workers or Workers())
     summary = summarise(run)
+    players = _write_players(run, summary, folder)
     page = environment(reports).get_template(PAGE)
     text = page.render(
         run=run,
         summary=summary,
         quantities=QUANTITIES,
-        players=_write_players(run, summary, folder),
-        figures=figures,
+        players=players,
+        figures=Figures(scripts, {name: image for images in drawn for name, image in images.items()}),
         style=Markup((reports / STYLE).read_text(encoding="utf-8")),
         record=run.record,
         colours={name: line.color for name, line in programme_lines(run).items()},
@@ -121,6 +113,20 @@ def make_report(run_dir: Path, workers: Workers | None = None) -> Path:
     )
     tables.write_bytes(text.encode(), folder / "index.html")
     return folder / "index.html"
+
+
+def _begin_drawing(
+    names: tuple[str, ...], reports: Path, run: RunTables, folder: Path, workers: Workers
+) -> Iterator[dict[str, Image]]:
+    """Draw and save figures: each worker of this machine some, at once; without workers when asked for.
+
+    A cluster may lack the files. Figures that draw the same tables are next to each other by name, mostly: each worker has a
+    run of names.
+    """
+    near = workers if workers.scheduler is None else Workers()
+    ends = [len(names) * share // max(1, near.n) for share in range(max(1, near.n) + 1)]
+    shares = [names[begin:end] for begin, end in pairwise(ends)]
+    return near.stream(Drawing.draw, [Drawing(share, reports, run, folder) for share in shares])
 
 
 def _write_players(run: RunTables, summary: Summary, folder: Path) -> dict[str, str]:

@@ -62,6 +62,8 @@ class Workers:
     def stream(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """Results of the tasks as they come; a bounded number is under way, and no other is made.
 
+        Other processes begin at once, this one when it is asked for a result.
+
         Raises
         ------
         InputError
@@ -71,13 +73,8 @@ class Workers:
         first = list(islice(waiting, 2))
         waiting = chain(first, waiting)
         if not self.are_elsewhere or (self.scheduler is None and len(first) <= 1):
-            for task in waiting:
-                interrupts.stop_if_asked()
-                yield function(task)
-            return
+            return _stream_here(function, waiting)
         from distributed import as_completed  # noqa: PLC0415
-        from distributed.client import FutureCancelledError  # noqa: PLC0415
-        from distributed.comm import CommClosedError  # noqa: PLC0415
 
         client = self._open()
         futures: Any = as_completed()
@@ -89,6 +86,13 @@ class Workers:
 
         for _ in range(AHEAD * max(1, len(client.scheduler_info()["workers"]))):
             submit_next()
+        return self._stream_from(futures, submit_next)
+
+    def _stream_from(self, futures: Any, submit_next: Callable[[], None]) -> Iterator[Any]:
+        """Results of futures as they are done; for each another task is submitted."""
+        from distributed.client import FutureCancelledError  # noqa: PLC0415
+        from distributed.comm import CommClosedError  # noqa: PLC0415
+
         for future in futures:
             interrupts.stop_if_asked()
             try:
@@ -153,6 +157,12 @@ def memory_mib() -> float:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def _stream_here(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+    for task in tasks:
+        interrupts.stop_if_asked()
+        yield function(task)
 
 
 def _measured(function: Callable[[Task], Result], task: Task) -> tuple[Result, Spent]:

@@ -109,7 +109,9 @@ def tile_targets(run_dir: Path, plate: Plate, survey: str, tile_id: int) -> pl.D
     """Targets on the plate of a tile: its own, and those that any tile may use."""
     tile = tables.scan(run_dir, "tiles").filter(survey=survey, tile_id=tile_id).collect().row(0, named=True)
     is_here = (pl.col("tile_id") == tile_id) | pl.col("tile_id").is_null()
-    targets = tables.scan(run_dir, "targets").filter(is_here, survey=survey).collect()
+    # Nothing further in declination alone can be on the plate: few are left to project.
+    is_near = (pl.col("dec_deg") - tile["dec_deg"]).abs() <= 1.01 * plate.instrument.field_radius_deg
+    targets = tables.scan(run_dir, "targets").filter(is_here, is_near, survey=survey).collect()
     ra, dec = (targets[name].to_numpy() for name in ("ra_deg", "dec_deg"))
     position = sky_to_plate(ra, dec, (tile["ra_deg"], tile["dec_deg"]), plate.instrument.plate_scale_arcsec_mm)
     is_on_plate = np.hypot(*position.T) <= plate.instrument.plate_radius_mm
