@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 
 # Targets and rests keep this much more than the least separation, so that rounding never brings two robots too close.
 GUARD_MM = 1e-7
@@ -30,32 +30,38 @@ def near_lists(x, y, radius):
     """
     n = len(x)
     order = np.argsort(x)
-    count = np.zeros(n + 1, np.int64)
+    by_x, by_y = x[order], y[order]
+    first = np.zeros(n + 1, np.int64)
     for is_filling in range(2):
         if is_filling:
             for i in range(n):
-                count[i + 1] += count[i]
-            first = count.copy()
-            near = np.empty(count[n], np.int32)
+                first[i + 1] += first[i]
+            end = first.copy()
+            found = np.empty(first[n], np.int32)
         for a in range(n):
-            i = order[a]
             for b in range(a + 1, n):
-                j = order[b]
-                dx = x[j] - x[i]
+                dx = by_x[b] - by_x[a]
                 if dx >= radius:
                     break
-                dy = y[j] - y[i]
+                dy = by_y[b] - by_y[a]
                 if dx * dx + dy * dy < radius * radius:
+                    i, j = order[a], order[b]
                     if is_filling:
-                        near[count[i]] = j
-                        near[count[j]] = i
-                        count[i] += 1
-                        count[j] += 1
+                        found[end[i]] = j
+                        found[end[j]] = i
+                        end[i] += 1
+                        end[j] += 1
                     else:
-                        count[i + 1] += 1
-                        count[j + 1] += 1
+                        first[i + 1] += 1
+                        first[j + 1] += 1
+    # Who is near is near the other too: points taken in their order are added to each list in their order.
+    near = np.empty(first[n], np.int32)
+    end[:] = first
     for i in range(n):
-        near[first[i] : first[i + 1]].sort()
+        for k in range(first[i], first[i + 1]):
+            j = found[k]
+            near[end[j]] = i
+            end[j] += 1
     return first, near
 
 
@@ -120,6 +126,22 @@ def way_costs(start_xy, park_xy, patrol, is_guide, xy, is_for_guide, half_power)
     return cost
 
 
+@inner_kernel
+def _reached(x, y, is_guided, robot_xy, reach, is_guide, hit):
+    """Note in `hit` the places of the targets, from west to east, that a robot reaches; gives their number.
+
+    Without a branch at each: no processor could foretell it, which took most of the time.
+    """
+    n = 0
+    if reach >= 0.0:  # of a dead robot it is NaN
+        begin = np.searchsorted(x, robot_xy[0] - reach - GUARD_MM)
+        for k in range(begin, np.searchsorted(x, robot_xy[0] + reach + GUARD_MM)):
+            dx, dy = x[k] - robot_xy[0], y[k] - robot_xy[1]
+            hit[n] = k
+            n += (dx * dx + dy * dy <= reach * reach) & (is_guided[k] == is_guide)
+    return n
+
+
 @kernel
 def reach_lists(robot_xy, patrol, is_guide, xy, is_for_guide, is_served):
     """Robots that reach each target, as lists one after another.
@@ -141,32 +163,24 @@ def reach_lists(robot_xy, patrol, is_guide, xy, is_for_guide, is_served):
         (n_target + 1,) and (n_pair,): robots of target t are robot[first[t]:first[t + 1]], ascending.
     """
     n_target = len(xy)
+    served = np.flatnonzero(is_served)
+    served = served[np.argsort(xy[served, 0])]
+    x, y, is_guided = xy[served, 0], xy[served, 1], is_for_guide[served]
+    hit = np.empty(len(x) + 1, np.int64)
     first = np.zeros(n_target + 1, np.int64)
-    robot = np.empty(max(16, 16 * n_target), np.int32)
-    # Robots of each kind from west to east: only those within the widest reach are looked at.
-    by_x = np.argsort(robot_xy[:, 0])
-    kinds = (by_x[~is_guide[by_x]], by_x[is_guide[by_x]])
-    x = (robot_xy[kinds[0], 0].copy(), robot_xy[kinds[1], 0].copy())
-    widest = np.zeros(2)
-    for r in range(len(robot_xy)):
-        widest[int(is_guide[r])] = np.fmax(widest[int(is_guide[r])], patrol[r])
-    n = 0
-    for t in range(n_target):
-        if is_served[t]:
-            kind = int(is_for_guide[t])
-            begin = np.searchsorted(x[kind], xy[t, 0] - widest[kind] - GUARD_MM)
-            n_before = n
-            for k in range(begin, len(x[kind])):
-                dx = x[kind][k] - xy[t, 0]
-                if dx > widest[kind] + GUARD_MM:
-                    break
-                r = kinds[kind][k]
-                dy = robot_xy[r, 1] - xy[t, 1]
-                if dx * dx + dy * dy <= patrol[r] * patrol[r]:
-                    if n == len(robot):
-                        robot = np.concatenate((robot, np.empty(n, np.int32)))
-                    robot[n] = r
-                    n += 1
-            robot[n_before:n].sort()
-        first[t + 1] = n
-    return first, robot[:n].copy()
+    # Robots taken in their order are added to each target's list in their order.
+    for is_filling in range(2):
+        if is_filling:
+            for t in range(n_target):
+                first[t + 1] += first[t]
+            end = first.copy()
+            robot = np.empty(first[n_target], np.int32)
+        for r in range(len(robot_xy)):
+            for k in range(_reached(x, y, is_guided, robot_xy[r], patrol[r], is_guide[r], hit)):
+                t = served[hit[k]]
+                if is_filling:
+                    robot[end[t]] = r
+                    end[t] += 1
+                else:
+                    first[t + 1] += 1
+    return first, robot
