@@ -189,11 +189,21 @@ def _quiet_dask() -> None:
     import dask  # noqa: PLC0415
     import distributed  # noqa: F401, PLC0415 - sets levels of its loggers when it is first imported
 
-    # A worker that kernels keep busy is no fault; libraries of a worker shall not start threads of their own.
-    quiet = {"tick.limit": "1h", "large-graph-warning-threshold": "1 GiB"}
+    # A worker that kernels keep busy is no fault; nobody looks at what dask measures of itself, which takes 3 % of a worker.
+    admin = {
+        "tick.limit": "1h",
+        "tick.interval": "1s",
+        "system-monitor.interval": "5s",
+        "large-graph-warning-threshold": "1 GiB",
+    }
     dask.config.set(
-        {"distributed.worker.daemon": True, **{f"distributed.admin.{key}": value for key, value in quiet.items()}}
+        {
+            "distributed.worker.daemon": True,
+            "distributed.worker.profile.enabled": False,
+            **{f"distributed.admin.{key}": value for key, value in admin.items()},
+        }
     )
+    # Libraries of a worker shall not start threads of their own.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS"):
         os.environ.setdefault(name, "1")
     # Its server of figures about itself listens on this machine alone, and on any port.
