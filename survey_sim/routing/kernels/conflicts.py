@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 from survey_sim.routing.kernels.planned import PLAN, arrival, coordinate_at, stay
 
 # Weight of a conflict with a robot that cannot move.
@@ -47,7 +47,7 @@ def copy_plans(source, target):
     target.plan[:], target.conflict[:], target.n_conflict[:] = source.plan, source.conflict, source.n_conflict
 
 
-@kernel
+@inner_kernel
 def last_arrival(plans):
     """When the last robot comes to rest, s."""
     latest = 0.0
@@ -56,7 +56,7 @@ def last_arrival(plans):
     return latest
 
 
-@kernel
+@inner_kernel
 def pair_radius(one, other, separation, margin):
     """Separation to plan for a pair: with the margin, as far as their starts and goals allow."""
     if margin == 0.0:
@@ -66,7 +66,7 @@ def pair_radius(one, other, separation, margin):
     return max(separation, min(separation + margin, min(starts, goals)))
 
 
-@kernel
+@inner_kernel
 def closest2(ti, xi, yi, ni, tj, xj, yj, nj, enough2):
     """Least squared distance of two trajectories; any value below `enough2` once it is that near."""
     ex, ey = xi[0] - xj[0], yi[0] - yj[0]
@@ -94,7 +94,7 @@ def closest2(ti, xi, yi, ni, tj, xj, yj, nj, enough2):
     return least2
 
 
-@kernel
+@inner_kernel
 def is_near(one, other, r):
     """Whether two plans come nearer than r."""
     r2 = (r - TOUCH_MM) ** 2
@@ -102,27 +102,27 @@ def is_near(one, other, r):
     return least2 < r2
 
 
-@kernel
+@inner_kernel
 def conflict_score(weight, t, x, y, n, other, r):
     """Score of a conflict of this trajectory with another plan: half its weight however slight, all of it if they meet."""
     depth = 1.0 - np.sqrt(closest2(t, x, y, n, other.kt, other.kx, other.ky, other.n_knot, 0.0)) / r
     return weight * (0.5 + 0.5 * max(0.0, depth))
 
 
-@kernel
+@inner_kernel
 def pair_weight(robots, weight, j):
     """Weight of a conflict with robot j, of a row of weights."""
     return weight[j] if robots[j].is_free else WEIGHT_FIXED
 
 
-@kernel
+@inner_kernel
 def set_plan(plans, i, plan, separation, margin):
     """Give robot i this plan, and find its conflicts."""
     plans.plan[i] = plan
     find_conflicts(plans.robot, plans.plan, plans.conflict, plans.n_conflict, i, len(plans.plan), separation, margin)
 
 
-@kernel
+@inner_kernel
 def find_conflicts(robots, plan, conflict, n_conflict, i, n, separation, margin):
     """Conflicts of robot i with the robots before n."""
     widest = separation + margin
@@ -141,7 +141,7 @@ def find_conflicts(robots, plan, conflict, n_conflict, i, n, separation, margin)
             n_conflict[j] += step
 
 
-@kernel
+@inner_kernel
 def find_near(phys, robots, plan, conflict, i, duration, separation, margin, near):
     """Robots that robot i may meet on any way that takes it no longer than `duration`; those in conflict with it first."""
     far = 0.5 * duration * phys.coarse + separation + margin
@@ -160,7 +160,7 @@ def find_near(phys, robots, plan, conflict, i, duration, separation, margin, nea
     return n_near
 
 
-@kernel
+@inner_kernel
 def present_score(plans, i, separation, margin):
     """Score of the conflicts of robot i as planned."""
     robots, plan, weight = plans.robot, plans.plan, plans.weight[i]
@@ -182,7 +182,7 @@ def ground(plans, i, separation, margin):
     set_plan(plans, i, scratch[0], separation, margin)
 
 
-@kernel
+@inner_kernel
 def _ground(robot, plan):
     robot.gx, robot.gy, robot.is_free, robot.alone = robot.sx, robot.sy, False, 0.0
     stay(robot, plan)

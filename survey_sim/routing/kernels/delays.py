@@ -11,13 +11,13 @@ two tangents.
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel
 
 # Delays nearer than this are one: a gap this narrow between forbidden intervals is rounding, not room.
 SAME_DELAY_S = 1e-9
 
 
-@kernel
+@inner_kernel
 def _near_span(cx, cy, vx, vy, span, r2):
     """Interval of t in [0, span] with |c + v t| < r; empty if the first is larger."""
     vv = vx * vx + vy * vy
@@ -34,7 +34,7 @@ def _near_span(cx, cy, vx, vy, span, r2):
     return max(0.0, (-cv - root) / vv), min(span, (-cv + root) / vv)
 
 
-@kernel
+@inner_kernel
 def _near_shift(cx, cy, ux, uy, sa, wx, wy, sb, r2):
     """Interval of tau - s over the s in [0, sa], tau in [0, sb] with |c + u s - w tau| < r; empty if the first is larger."""
     lo, hi = np.inf, -np.inf
@@ -66,7 +66,7 @@ def _near_shift(cx, cy, ux, uy, sa, wx, wy, sb, r2):
     return lo, hi
 
 
-@kernel
+@inner_kernel
 def _piece(kt, kx, ky, n, p):
     """Piece p of n knots: start and end time, position, velocity, and duration; p = -1 and n - 1 are the rests."""
     if p < 0:
@@ -79,7 +79,7 @@ def _piece(kt, kx, ky, n, p):
     return kt[p], kt[p + 1], kx[p], ky[p], (kx[p + 1] - kx[p]) / span, (ky[p + 1] - ky[p]) / span
 
 
-@kernel
+@inner_kernel
 def forbidden_delays(at, ax, ay, na, rest, bt, bx, by, nb, b_box, r, delay_max, lo, hi):
     """Delays d in (lo, hi) that bring shape a, late by d from piece `rest` on, within r of trajectory b.
 
@@ -143,7 +143,7 @@ def forbidden_delays(at, ax, ay, na, rest, bt, bx, by, nb, b_box, r, delay_max, 
     return n
 
 
-@kernel
+@inner_kernel
 def _insert_interval(lo, hi, n, d0, d1):
     """Union of n ascending disjoint intervals with (d0, d1); the last is widened if there is no room for one more."""
     k = 0

@@ -5,10 +5,10 @@
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 
 
-@kernel
+@inner_kernel
 def point_segment2(px, py, ax, ay, bx, by):
     """Squared distance of a point from a segment, mm^2."""
     ux, uy = bx - ax, by - ay
@@ -20,7 +20,7 @@ def point_segment2(px, py, ax, ay, bx, by):
     return ex * ex + ey * ey
 
 
-@kernel
+@inner_kernel
 def segment_segment2(a, b, c, d):
     """Squared distance of segments a-b and c-d, mm^2; 0 where they cross."""
     ux, uy, wx, wy = b[0] - a[0], b[1] - a[1], d[0] - c[0], d[1] - c[1]

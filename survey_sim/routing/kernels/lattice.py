@@ -6,7 +6,7 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 from survey_sim.routing.kernels.conflicts import TOUCH_MM, set_plan
 from survey_sim.routing.kernels.geometry import point_segment2
 from survey_sim.routing.kernels.lights import LONGEST_WAIT_S
@@ -19,7 +19,7 @@ LATTICE_MM = 3.0
 TURN_COST_S = 0.01
 
 
-@kernel
+@inner_kernel
 def _is_piece_clear(plans, i, x0, y0, t0, x1, y1, t1, r):
     """Whether a straight move (or a stand) of robot i from t0 to t1 keeps r from all other plans meanwhile."""
     r2 = (r - TOUCH_MM) ** 2
@@ -55,7 +55,7 @@ LATTICE_X = np.array([1, -1, 0, 0, 0])
 LATTICE_Y = np.array([0, 0, 1, -1, 0])
 
 
-@kernel
+@inner_kernel
 def _final_approach(phys, robot, plans, i, x, y, t, separation, shape):
     """Whether robot i can go from (x, y) at t to its goal, x then y, and stay there for good."""
     shape.x[0], shape.y[0], shape.turned[0], shape.wait[0] = robot.gx, robot.gy, False, 0.0
@@ -70,7 +70,7 @@ def _final_approach(phys, robot, plans, i, x, y, t, separation, shape):
     return True
 
 
-@kernel
+@inner_kernel
 def _legs_from_moves(robot, moves, pitch, step_s, shape):
     """Way points of lattice moves, x before y within a leg, and of the final approach; returns n_leg, 0 if too many."""
     c, s = robot.hx, robot.hy

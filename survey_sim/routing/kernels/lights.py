@@ -4,7 +4,7 @@
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel
 from survey_sim.routing.kernels.conflicts import find_near, set_plan
 from survey_sim.routing.kernels.planned import build_knots, delay_from
 from survey_sim.routing.kernels.repair import best_delay
@@ -15,7 +15,7 @@ LONGEST_WAIT_S = 300.0
 N_STOP = 16
 
 
-@kernel
+@inner_kernel
 def plan_with_stop(phys, plans, rng, i, separation, scratch, room, near):
     """Plan robot i straight to its goal, waiting before it starts or once on the way; False if no wait clears it."""
     robots, plan, weight = plans.robot, plans.plan, plans.weight[i]
@@ -26,7 +26,7 @@ def plan_with_stop(phys, plans, rng, i, separation, scratch, room, near):
     return True
 
 
-@kernel
+@inner_kernel
 def _find_stop(phys, robots, plan, weight, rng, i, near, separation, scratch, space):
     """The search of `plan_with_stop`; leaves the plan in scratch[1]."""
     robot, shape = robots[i], scratch[0]

@@ -9,10 +9,10 @@ generate all such curves, and a curve counts by the parity of its crossings of t
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 
 
-@kernel
+@inner_kernel
 def _crosses(ax, ay, bx, by, cx, cy, dx, dy):
     """Whether segments a-b and c-d cross; an end on the other's line counts on one side only."""
     side_c = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) >= 0.0
@@ -22,7 +22,7 @@ def _crosses(ax, ay, bx, by, cx, cy, dx, dy):
     return side_c != side_d and side_a != side_b
 
 
-@kernel
+@inner_kernel
 def _root(parent, parity, k):
     """Representative of k, and the parity of the way to it."""
     odd = False

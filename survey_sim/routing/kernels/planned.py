@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 
 # Legs of a coordinated plan, and of one found step by step on a lattice.
 MAX_LEGS = 6
@@ -59,7 +59,7 @@ PLAN = plan_type(MAX_LEGS)
 LATTICE_PLAN = plan_type(MAX_LATTICE_LEGS)
 
 
-@kernel
+@inner_kernel
 def leg_options(phys, hx, hy, ex, ey, is_last):
     """Seconds of one leg along (ex, ey), turned and not turned, for a robot whose own x axis lies along (hx, hy)."""
     along, across = abs(hx * ex + hy * ey), abs(hx * ey - hy * ex)
@@ -73,7 +73,7 @@ def leg_options(phys, hx, hy, ex, ey, is_last):
     return turned_s, square_s
 
 
-@kernel
+@inner_kernel
 def turned_heading(hx, hy, ex, ey):
     """Where the own x axis of a robot points once that or its own y axis lies along (ex, ey), by the least turn.
 
@@ -90,13 +90,13 @@ def turned_heading(hx, hy, ex, ey):
     return ey / length, -ex / length
 
 
-@kernel
+@inner_kernel
 def build_knots(phys, robot, plan, n_leg):
     """Knots of a plan's way points; returns the time at the end, infinite if a corner leaves the patrol."""
     return build_knots_from(phys, robot, plan, n_leg, robot.sx, robot.sy)
 
 
-@kernel
+@inner_kernel
 def build_knots_from(phys, robot, plan, n_leg, x0, y0):
     """The same from (x0, y0), with the heading that the robot has at its start."""
     kt, kx, ky = plan.kt, plan.kx, plan.ky
@@ -159,7 +159,7 @@ def build_knots_from(phys, robot, plan, n_leg, x0, y0):
     return t
 
 
-@kernel
+@inner_kernel
 def _goes_square(plan, leg, n_leg):
     """Whether the plan has a leg without a turn from this one on."""
     for m in range(leg, n_leg):
@@ -168,7 +168,7 @@ def _goes_square(plan, leg, n_leg):
     return False
 
 
-@kernel
+@inner_kernel
 def delay_from(plan, leg, delay):
     """The plan is late by `delay` from one of its legs on."""
     if delay > 0.0 and plan.n_leg > 0:
@@ -177,7 +177,7 @@ def delay_from(plan, leg, delay):
             plan.kt[k] += delay
 
 
-@kernel
+@inner_kernel
 def is_inside(phys, robot, x, y):
     """Whether a centre at (x, y) is on the plate and in the robot's patrol disc."""
     tolerance = 1e-7
@@ -185,7 +185,7 @@ def is_inside(phys, robot, x, y):
     return x * x + y * y <= plate * plate and (x - robot.park_x) ** 2 + (y - robot.park_y) ** 2 <= patrol * patrol
 
 
-@kernel
+@inner_kernel
 def stay(robot, plan):
     """A plan without legs."""
     plan.n_leg, plan.n_knot, plan.leave[0] = 0, 1, -1
@@ -194,13 +194,13 @@ def stay(robot, plan):
     plan.box[2] = plan.box[3] = robot.sy
 
 
-@kernel
+@inner_kernel
 def arrival(plan):
     """When the robot comes to rest, s."""
     return plan.kt[plan.n_knot - 1]
 
 
-@kernel
+@inner_kernel
 def coordinate_at(t, z, k, last, when):
     """Coordinate at `when`, between knots k and k + 1; -1 and `last` are the rests."""
     if k < 0:
@@ -221,7 +221,7 @@ def leg_starts(phys, plans):
     return start_s
 
 
-@kernel
+@inner_kernel
 def _leg_starts(phys, robot, plan, start_s):
     t, hx, hy, x, y = 0.0, robot.hx, robot.hy, robot.sx, robot.sy
     for m in range(plan.n_leg):

@@ -5,7 +5,7 @@
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 from survey_sim.routing.kernels.conflicts import conflict_score, find_near, pair_radius, pair_weight, present_score, set_plan
 from survey_sim.routing.kernels.delays import SAME_DELAY_S, forbidden_delays
 from survey_sim.routing.kernels.planned import MAX_LATTICE_LEGS, PLAN, arrival, delay_from
@@ -29,7 +29,7 @@ ROOM = np.dtype(
 )
 
 
-@kernel
+@inner_kernel
 def best_delay(robots, plan, weight, rng, me, near, shape, late_leg, delay_max, separation, margin, limit, room):
     """Least score of conflicts over delays of a shape from one leg on, and the delay that has it; inf if not below `limit`.
 
@@ -100,14 +100,14 @@ def best_delay(robots, plan, weight, rng, me, near, shape, late_leg, delay_max, 
     return least, best
 
 
-@kernel
+@inner_kernel
 def _is_forbidden(room, k, delay):
     """Whether interval k holds the delay; at 0 an interval that starts there counts too."""
     lo = room.lo[k]
     return (lo < delay - 1e-12 or lo <= 0.0) and delay + 1e-12 < room.hi[k]
 
 
-@kernel
+@inner_kernel
 def _pick_partner(rng, conflict):
     """One of the robots in conflict, of a row, or -1."""
     partner, n_seen = -1, 0
@@ -119,7 +119,7 @@ def _pick_partner(rng, conflict):
     return partner
 
 
-@kernel
+@inner_kernel
 def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, scratch, room, near):
     """Plan robot i again within `duration`, if the score of its conflicts falls below `least`; returns the score.
 
@@ -149,7 +149,7 @@ def replan(phys, plans, rng, i, duration, n_sample, least, separation, margin, s
     return has_found
 
 
-@kernel
+@inner_kernel
 def _replan(
     phys, robots, plan, conflict, weight, rng, i, duration, n_sample, least, separation, margin, scratch, room, near
 ):  # fmt: skip

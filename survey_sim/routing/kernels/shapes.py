@@ -4,7 +4,7 @@
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
 
-from survey_sim.kernel import kernel
+from survey_sim.kernel import inner_kernel, kernel
 from survey_sim.routing.kernels.conflicts import find_conflicts
 from survey_sim.routing.kernels.planned import PLAN, build_knots, is_inside, leg_options, stay, turned_heading
 
@@ -12,7 +12,7 @@ from survey_sim.routing.kernels.planned import PLAN, build_knots, is_inside, leg
 N_TRIAL = 8
 
 
-@kernel
+@inner_kernel
 def direct_shape(phys, robot, option, shape):
     """A plan without detour: 0 turned, 1 x then y, 2 y then x; returns its time, infinite if it cannot be."""
     if robot.sx == robot.gx and robot.sy == robot.gy:
@@ -42,14 +42,14 @@ def start_directly(phys, plans, separation, margin):
         find_conflicts(plans.robot, plans.plan, plans.conflict, plans.n_conflict, i, i, separation, margin)
 
 
-@kernel
+@inner_kernel
 def _start_directly(phys, robot, plan, i, scratch):
     t = direct_shape(phys, robot, 0, plan[i])
     if direct_shape(phys, robot, 1, scratch[0]) < t:
         plan[i] = scratch[0]
 
 
-@kernel
+@inner_kernel
 def _clear_of(rng, robot, other, separation):
     """A point just clear of another plan: beside its line, or around a place where it stands."""
     k = int(rng.random() * other.n_knot)
@@ -76,7 +76,7 @@ def _clear_of(rng, robot, other, separation):
     return x + f * ex - side * ey, y + f * ey + side * ex
 
 
-@kernel
+@inner_kernel
 def _sample_ways(phys, robot, own, partner, has_partner, rng, aside, separation, shape):
     """Random way points of one to three, or the present ones varied; returns their number, 0 if one is out of reach."""
     ex, ey = robot.gx - robot.sx, robot.gy - robot.sy
@@ -112,7 +112,7 @@ def _sample_ways(phys, robot, own, partner, has_partner, rng, aside, separation,
     return n_via
 
 
-@kernel
+@inner_kernel
 def sample_shape(phys, robot, own, partner, has_partner, rng, duration, separation, shape):
     """A random detour of one to three way points, or the present one varied, that takes no longer than `duration`.
 
@@ -140,7 +140,7 @@ def sample_shape(phys, robot, own, partner, has_partner, rng, duration, separati
     return build_knots(phys, robot, shape, n_leg), late_leg
 
 
-@kernel
+@inner_kernel
 def _choose_turns(phys, robot, rng, n_leg, duration, shape):
     """Turn before a leg or not, mostly whichever is quicker; returns the time, infinite if longer than `duration`."""
     hx, hy, total, x, y = robot.hx, robot.hy, 0.0, robot.sx, robot.sy
