@@ -1,6 +1,7 @@
 """Cloud over the site: a seeded random process, the same for the same nights whatever else is asked."""
 
 from datetime import date
+from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +10,7 @@ from survey_sim.schedule.ephemeris import mjd_of
 from survey_sim.schedule.settings import Weather
 
 BoolArray = npt.NDArray[np.bool_]
+FloatArray = npt.NDArray[np.float64]
 
 # The sky is clear or cloudy for so long at a time at least, s.
 STEP_S = 1_800
@@ -41,8 +43,7 @@ def make_weather(first: date, n_night: int, settings: Weather, seed: int) -> Boo
     -------
         (n_night, 48) from local mean noon to noon.
     """
-    from scipy.signal import lfilter  # noqa: PLC0415 - 0.3 s that the command line's help need not pay
-    from scipy.special import ndtri  # noqa: PLC0415
+    from scipy.special import ndtri  # noqa: PLC0415 - 0.1 s that the command line's help need not pay
 
     n_before = int(np.ceil(_N_MEMORY_BEFORE * max(settings.night_memory_days, settings.hour_memory_h / 24.0)))
     days = mjd_of(first) + np.arange(-n_before, n_night)
@@ -52,10 +53,17 @@ def make_weather(first: date, n_night: int, settings: Weather, seed: int) -> Boo
         draws[row] = np.random.default_rng(stream).standard_normal(1 + N_STEP_DAY)
     share = settings.night_share_frac
     slow, fast = (_memory(1.0, settings.night_memory_days), _memory(STEP_S / 3600.0, settings.hour_memory_h))
-    by_night = lfilter([np.sqrt(1.0 - slow**2)], [1.0, -slow], draws[:, 0])
-    by_step = lfilter([np.sqrt(1.0 - fast**2)], [1.0, -fast], draws[:, 1:].ravel()).reshape(-1, N_STEP_DAY)
+    by_night = _autoregressive(draws[:, 0], slow)
+    by_step = _autoregressive(draws[:, 1:].ravel(), fast).reshape(-1, N_STEP_DAY)
     cloud = np.sqrt(share) * by_night[:, None] + np.sqrt(1.0 - share) * by_step
     return np.asarray(cloud[n_before:] > -ndtri(settings.mean_loss_frac))
+
+
+def _autoregressive(draws: FloatArray, memory: float) -> FloatArray:
+    """(n,) process of unit variance driven by (n,) draws: each value is correlated with the one before it by `memory`."""
+    # As scipy.signal.lfilter does it, whose import alone takes longer than a whole schedule's weather.
+    steps = (np.sqrt(1.0 - memory**2) * draws).tolist()
+    return np.array(list(accumulate(steps, lambda before, step: memory * before + step)))
 
 
 def _memory(step: float, e_folding: float) -> float:
