@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from survey_sim.errors import InputError
 from survey_sim.instrument import load_instrument, make_plate
 from survey_sim.motion import leg_times_s, make_trajectories
-from survey_sim.routing import ROUTERS, RoutingSettings, UnroutedReason, route
+from survey_sim.routing import ROUTERS, HeldUp, RoutedPath, RoutingSettings, UnroutedReason, route, route_at_bound
 from survey_sim.simulation import simulate
 from tests.fields import chain, random_field
 from tests.naive_routing import grid_cells, joint_components, pair_bound_s
@@ -28,10 +28,10 @@ def _plate(park, dead=(), patrol=50.0, plate_radius=163.5):
     return make_plate(load_instrument("paper", overrides), dead)
 
 
-def _route(plate, start, goal, router="coordinated", theta=None, seed=0, **more):
+def _route(plate, start, goal, router="coordinated", theta=None, seed=0, by=route, **more):
     theta = np.zeros(plate.n_robot) if theta is None else theta
     settings_ = RoutingSettings(router=router, **more)
-    return route(plate, np.array(start, float), theta, np.array(goal, float), settings_, np.random.default_rng(seed))
+    return by(plate, np.array(start, float), theta, np.array(goal, float), settings_, np.random.default_rng(seed))
 
 
 def _assert_legal(plate, start, goal, path, theta=None):
@@ -88,6 +88,36 @@ def test_the_pair_that_needs_longer_than_the_bound_is_named():
     assert path.configuration_time_s > path.lower_bound_s
     assert sorted(path.held_up) == [0, 2]
     assert _route(plate, start, [[0, 0], [90, 0], [15, 0]]).held_up == ()
+
+
+def test_what_is_not_at_the_bound_is_given_up_with_the_pair_named():
+    """As above; to turn around each other takes the two some percent longer; far from help they take much longer."""
+    start, goal = [[0, 0], [100, 0], [15, 0]], [[15, 0], [90, 0], [0, 0]]
+    whole = _route(_plate(start), start, goal)
+    held_up = _route(_plate(start), start, goal, by=route_at_bound)
+    assert isinstance(held_up, HeldUp)
+    assert sorted(held_up.held_up) == [0, 2]
+    assert held_up.lower_bound_s == whole.lower_bound_s < held_up.configuration_time_s
+    is_far = whole.configuration_time_s > 1.05 * whole.lower_bound_s
+    assert (held_up.configuration_time_s > 1.05 * whole.lower_bound_s) == is_far
+
+
+@pytest.mark.parametrize("router", ALL)
+def test_what_is_at_the_bound_is_the_same_as_if_more_were_looked_for(router):
+    """Fields with robots in conflict; other routers give up nothing."""
+    plate, n_whole = make_plate(load_instrument("taipan-150")), 0
+    for start, goal in chain(plate, 4, 160, np.random.default_rng(5)):
+        for a, b in ((start, goal), (start, plate.park_mm)):
+            path, found = _route(plate, a, b, router), _route(plate, a, b, router, by=route_at_bound)
+            if router == "coordinated" and path.held_up:
+                assert isinstance(found, HeldUp)
+                continue
+            assert isinstance(found, RoutedPath)
+            n_whole += 1
+            for name in ("robot", "start_s", "x_mm", "y_mm", "theta_deg"):
+                np.testing.assert_array_equal(getattr(found.legs, name), getattr(path.legs, name))
+            assert found.held_up == path.held_up
+    assert n_whole > 0
 
 
 def test_without_a_pair_the_robot_that_comes_last_is_named():

@@ -26,27 +26,37 @@ from survey_sim.routing.problem import Problem, RoutingSettings, Solution, Unrou
 N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, N_PATIENT = 12, 40, 60, 100, 2000
 
 
-def route_coordinated(problem: Problem, settings: RoutingSettings, rng: np.random.Generator) -> Solution:
-    """Legs and reasons; with the margin if that routes everybody who can be."""
-    solution = _plan(problem, settings, settings.margin_mm, rng)
+def route_coordinated(
+    problem: Problem, settings: RoutingSettings, rng: np.random.Generator, *, exceeds: bool = True
+) -> Solution:
+    """Legs and reasons; with the margin if that routes everybody who can be.
+
+    `exceeds`: whether a path that takes longer than the bound is looked for, or given up.
+    """
+    solution = _plan(problem, settings, settings.margin_mm, rng, exceeds=exceeds)
     has_failed = np.isin(solution.reason, (UnroutedReason.NO_PATH, UnroutedReason.DEADLOCK)).any()
     if settings.margin_mm > 0 and has_failed:
-        solution = _plan(problem, settings, 0.0, rng)
+        solution = _plan(problem, settings, 0.0, rng, exceeds=exceeds)
     return solution
 
 
-def _plan(problem: Problem, settings: RoutingSettings, margin: float, rng: np.random.Generator) -> Solution:
+def _plan(
+    problem: Problem, settings: RoutingSettings, margin: float, rng: np.random.Generator, *, exceeds: bool
+) -> Solution:
     phys, separation = physics(problem), problem.separation_mm
     reason = find_unreachable(problem)
     is_fixed = ~problem.plate.is_live | (reason != UnroutedReason.ARRIVED)
     plans = new_plans(problem, is_fixed)
     shapes.start_directly(phys, plans, separation, margin)
-    slow_pair = np.full(2, -1)
+    slow_pair, given_up_s = np.full(2, -1), None
     if plans.n_conflict.any():
         bound = float(plans.robot["alone"].max())
-        kept = new_plans(problem, is_fixed)
-        effort = coordinate.Effort(N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, settings.n_repair)
-        while not coordinate.coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_pair):
+        effort = coordinate.Effort(N_SAMPLE, N_FIRST, N_PAIR, N_QUICK, settings.n_repair, exceeds)
+        while True:
+            ended, time_s = coordinate.coordinate(phys, plans, rng, bound, effort, separation, margin, slow_pair)
+            if ended != coordinate.NOT_FOUND:
+                given_up_s = time_s if ended == coordinate.GIVEN_UP else None
+                break
             if effort.quick < N_PATIENT:
                 effort = effort._replace(quick=N_PATIENT)
                 continue
@@ -55,7 +65,8 @@ def _plan(problem: Problem, settings: RoutingSettings, margin: float, rng: np.ra
             for other in _cascade(problem, plans):
                 conflicts.ground(plans, other, separation, margin)
                 reason[other] = UnroutedReason.DEADLOCK
-    return Solution(legs_of(problem, plans), reason, tuple(slow_pair[slow_pair >= 0].tolist()))
+    pair = tuple(slow_pair[slow_pair >= 0].tolist())
+    return Solution(legs_of(problem, plans), reason, pair, given_up_s)
 
 
 def find_unreachable(problem: Problem) -> npt.NDArray[np.int8]:

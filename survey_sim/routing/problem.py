@@ -78,11 +78,33 @@ class Solution(NamedTuple):
     slow_pair
         The two robots that need longest, were they alone, or, if none does, two that were still in conflict when the search
         at the bound ended; empty where it succeeded, or is not known.
+    given_up_s
+        About how long the path would take, where only one at the bound was looked for and none was found: then the legs are
+        still in conflict. None otherwise.
     """
 
     legs: Legs
     reason: npt.NDArray[np.int8]
     slow_pair: tuple[int, ...] = ()
+    given_up_s: float | None = None
+
+
+class HeldUp(NamedTuple):
+    """A path that was given up, because it would take longer than its bound.
+
+    Attributes
+    ----------
+    lower_bound_s
+        That bound: when the slowest robot that arrives would do so alone.
+    configuration_time_s
+        About how long it would take.
+    held_up
+        The robots to blame, as in `RoutedPath`.
+    """
+
+    lower_bound_s: float
+    configuration_time_s: float
+    held_up: tuple[int, ...]
 
 
 @dataclass(frozen=True)

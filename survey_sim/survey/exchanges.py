@@ -1,12 +1,22 @@
-"""The search for a visit whose robots are not in each other's way: exchanges of targets, one upon another, best first."""
+"""The search for a visit whose robots are not in each other's way: exchanges of targets, one upon another, best first.
+
+Most visits are at their bound, and of the rest most are after an exchange or two. So what is tried is routed at the bound
+first, and what is not to be had there is given up, and routed whole only where nothing better is found.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from heapq import heappop, heappush
-from typing import Protocol, TypeVar
+from itertools import islice
+from typing import Generic, TypeVar
 
-from survey_sim.routing import RoutedPath, UnroutedReason
+import numpy as np
+
+from survey_sim.geometry import FloatArray
+from survey_sim.routing import HeldUp, RoutedPath, UnroutedReason
 
 # Time that a path takes beyond its bound counts so much more, and so much again what is far beyond: longer ways that nobody
 # crosses are better than robots that must go around each other.
@@ -18,37 +28,75 @@ PATIENCE_IF_FAR = 3
 TRIED_FRAC = 0.01
 
 
-class Tried(Protocol):
-    """A visit that was routed."""
+@dataclass(frozen=True)
+class Tried:
+    """A visit that was routed, all of it or until a path was given up.
+
+    Attributes
+    ----------
+    paths
+        The visit's paths; those after one that was given up are not routed, but taken to be at their bounds.
+    """
+
+    paths: tuple[RoutedPath | HeldUp, ...]
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Whether all paths are routed."""
+        return not any(isinstance(path, HeldUp) for path in self.paths)
 
     @property
+    def routed(self) -> tuple[RoutedPath, ...]:
+        """The paths, if all are routed."""
+        return tuple(path for path in self.paths if isinstance(path, RoutedPath))
+
+    @cached_property
     def cost(self) -> tuple[int, float]:
-        """Robots that do not arrive, and time, s."""
+        """Robots that do not arrive, and the time of all paths, s; what lies above the bounds counts more."""
+        return sum(len(_lost(path)) for path in self.paths), sum(map(_weighted_s, self.paths))
 
-    @property
-    def blamed(self) -> Sequence[int]:
-        """Robots that are in the way, or do not arrive."""
+    @cached_property
+    def blamed(self) -> tuple[int, ...]:
+        """Robots that do not arrive, or hold the others up, of one path after the other."""
+        lost = [robot for path in self.paths for robot in _lost(path)]
+        held_up = [robot for path in self.paths for robot in path.held_up]
+        return tuple(dict.fromkeys([*lost, *held_up]))
 
-    @property
+    @cached_property
     def is_far(self) -> bool:
-        """Whether a path is far beyond its bound (`is_any_far`)."""
+        """Whether a path takes more than `FAR_FRAC` longer than its bound."""
+        return any(_far_s(path.configuration_time_s, path.lower_bound_s) > 0.0 for path in self.paths)
 
 
 T = TypeVar("T", bound=Tried)
 
 
-def cost_of(*paths: RoutedPath) -> tuple[int, float]:
-    """Robots that do not arrive, and the time of all paths, s; what lies above the bounds counts more."""
-    n_unrouted = sum(int((path.reason != UnroutedReason.ARRIVED).sum()) for path in paths)
-    return n_unrouted, sum(_weighted_s(path.configuration_time_s, path.lower_bound_s) for path in paths)
+@dataclass(frozen=True)
+class Proposal(Generic[T]):
+    """A visit that may be tried.
+
+    Attributes
+    ----------
+    goal_mm
+        (n_robot, 2) where the robots shall end.
+    least_s
+        Time that its paths take together at the least.
+    routed
+        Routes it, whole or until a path is given up.
+    """
+
+    goal_mm: FloatArray
+    least_s: float
+    routed: Callable[[], T]
 
 
-def is_any_far(*paths: RoutedPath) -> bool:
-    """Whether one of the paths takes more than `FAR_FRAC` longer than its bound."""
-    return any(_far_s(path.configuration_time_s, path.lower_bound_s) > 0.0 for path in paths)
+def _lost(path: RoutedPath | HeldUp) -> list[int]:
+    """Robots that do not arrive."""
+    return [] if isinstance(path, HeldUp) else np.flatnonzero(path.reason != UnroutedReason.ARRIVED).tolist()
 
 
-def _weighted_s(time_s: float, bound_s: float) -> float:
+def _weighted_s(path: RoutedPath | HeldUp) -> float:
+    time_s, bound_s = path.configuration_time_s, path.lower_bound_s
     return time_s + EXCESS_WEIGHT * (time_s - bound_s) + FAR_WEIGHT * _far_s(time_s, bound_s)
 
 
@@ -56,27 +104,43 @@ def _far_s(time_s: float, bound_s: float) -> float:
     return max(0.0, time_s - (1.0 + FAR_FRAC) * bound_s)
 
 
-def least_costly(first: T, others: Callable[[T], Iterator[T | None]], n_trial: int) -> T:
-    """The visit of least cost that is found from the first on.
+def least_costly(
+    first: Proposal[T], others: Callable[[T], Iterator[Proposal[T] | None]], whole: Callable[[T], T], n_trial: int
+) -> T:
+    """The visit of least cost that is found from the first on, routed whole.
 
     Parameters
     ----------
-    n_trial
-        Trials at most, `PATIENCE_IF_FAR` times as many while the best found has a path far beyond its bound.
     others
         What a visit becomes by one exchange, one after another; None where one cannot be made.
+    whole
+        Routes all paths of a visit.
+    n_trial
+        Trials at most, `PATIENCE_IF_FAR` times as many while the best found has a path far beyond its bound. Goals that
+        were tried before, and visits that cannot be better than the best, count as trials, and are not routed.
     """
-    best, serial = first, 0
-    queue = [(*first.cost, serial, 0, first, others(first))]
-    while queue and best.blamed and serial < n_trial * (PATIENCE_IF_FAR if best.is_far else 1):
+    tried = [first.routed()]
+    known, serial = {first.goal_mm.tobytes()}, 0
+    queue = [(*tried[0].cost, serial, 0, tried[0], others(tried[0]))]
+    while True:
+        place = min(range(len(tried)), key=lambda number: tried[number].cost)
+        best = tried[place]
+        if best.is_whole and not best.blamed:
+            return best
+        if serial >= n_trial or not queue:
+            if not best.is_whole:
+                tried[place] = whole(best)
+                continue
+            if not queue or not best.is_far or serial >= n_trial * PATIENCE_IF_FAR:
+                return best
         n_unrouted, time_s, number, n_tried, _, exchanges = visit = heappop(queue)
-        for other in exchanges:
+        for proposal in islice(exchanges, 1):
             serial += 1
-            key = (n_unrouted, time_s * (1.0 + TRIED_FRAC), number, n_tried + 1)
-            heappush(queue, (*key, *visit[4:]))
-            if other is not None:
-                if other.blamed:
-                    heappush(queue, (*other.cost, serial, 0, other, others(other)))
-                best = min(best, other, key=lambda tried: tried.cost)
-            break
-    return best
+            heappush(queue, (n_unrouted, time_s * (1.0 + TRIED_FRAC), number, n_tried + 1, *visit[4:]))
+            if proposal is None or proposal.goal_mm.tobytes() in known or (0, proposal.least_s) > best.cost:
+                continue
+            known.add(proposal.goal_mm.tobytes())
+            other = proposal.routed()
+            tried.append(other)
+            if other.blamed:
+                heappush(queue, (*other.cost, serial, 0, other, others(other)))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -22,9 +23,9 @@ from survey_sim.allocation import (
 from survey_sim.geometry import FloatArray, sky_to_plate
 from survey_sim.instrument import Plate
 from survey_sim.motion import alone_time_s
-from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
+from survey_sim.routing import HeldUp, RoutedPath, RoutingSettings, UnroutedReason, route, route_at_bound
 from survey_sim.simulation import SimulationSettings, execute, simulate
-from survey_sim.survey.exchanges import cost_of, is_any_far, least_costly
+from survey_sim.survey.exchanges import Proposal, Tried, least_costly
 from survey_sim.survey.rows import PlayedPath, TileRows
 from survey_sim.tiling import Planned
 
@@ -38,6 +39,9 @@ N_EXCHANGE = 24
 N_AGAIN = 6
 # What tables say of each `UnroutedReason`.
 REASON_CODES = np.array([None if reason == UnroutedReason.ARRIVED else reason.code for reason in UnroutedReason])
+
+# A path that is routed, or may be given up.
+P = TypeVar("P")
 
 
 @dataclass(frozen=True)
@@ -77,8 +81,7 @@ class State:
     theta_deg: FloatArray
 
 
-@dataclass(frozen=True)
-class Routes:
+class Routes(NamedTuple):
     """What the targets of a visit are good for: the ways to them, to them from park, and from them home to park.
 
     `home` is `start_to_park` of the visit after.
@@ -93,36 +96,14 @@ class Routes:
         """Where the visit leaves all robots."""
         return State(self.to_target.end_mm, self.to_target.end_theta_deg)
 
-    @property
-    def blamed(self) -> tuple[int, ...]:
-        """Robots that do not reach their targets, then those to blame where a path takes longer than its bound."""
-        lost = np.flatnonzero(self.to_target.reason != UnroutedReason.ARRIVED).tolist()
-        return tuple(dict.fromkeys([*lost, *self.to_target.held_up, *self.from_park.held_up, *self.home.held_up]))
-
 
 @dataclass(frozen=True)
-class Settled:
-    """A visit that was routed, the (robot, target) pairs barred to get there, and where idle robots were told to rest."""
+class Settled(Tried):
+    """A visit that was tried, the (robot, target) pairs barred to get there, and where idle robots were told to rest."""
 
     visit: VisitAllocation
-    routes: Routes
     barred: frozenset[tuple[int, int]]
     places: Mapping[int, FloatArray]
-
-    @property
-    def cost(self) -> tuple[int, float]:
-        """Robots that do not arrive, and the time of all three paths, s."""
-        return cost_of(self.routes.to_target, self.routes.from_park, self.routes.home)
-
-    @property
-    def blamed(self) -> tuple[int, ...]:
-        """Robots that are in the way, or do not arrive."""
-        return self.routes.blamed
-
-    @property
-    def is_far(self) -> bool:
-        """Whether one of the three paths is far beyond its bound."""
-        return is_any_far(self.routes.to_target, self.routes.from_park, self.routes.home)
 
 
 def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:
@@ -297,64 +278,95 @@ def _settle(
     longest there is; an idle one rests elsewhere. Bars add up from exchange to exchange.
     """
 
-    def others(settled: Settled) -> Iterator[Settled | None]:
+    def others(settled: Settled) -> Iterator[Proposal[Settled] | None]:
         for may_lengthen in (False, True):
             for robot in settled.blamed:
                 target = int(settled.visit.target[robot])
                 if target >= 0:
                     barred = settled.barred | {(robot, target)}
-                    yield tried(session.exchanged(visit, barred, may_lengthen=may_lengthen), barred, settled.places)
+                    yield proposed(session.exchanged(visit, barred, may_lengthen=may_lengthen), barred, settled.places)
                 elif may_lengthen:
                     for place in session.resting_places(settled.visit, robot):
-                        yield tried(settled.visit, settled.barred, {**settled.places, robot: place})
+                        yield proposed(settled.visit, settled.barred, {**settled.places, robot: place})
 
-    def tried(
+    def proposed(
         other: VisitAllocation | None, barred: frozenset[tuple[int, int]], places: Mapping[int, FloatArray]
-    ) -> Settled | None:
+    ) -> Proposal[Settled] | None:
         if other is None:
             return None
-        other = session.rested(other, places) if places else other
-        key = other.goal_mm.tobytes()
-        if key in costs or (0, _least_s(job, other, start)) > min(costs.values()):
-            return None
-        settled = Settled(other, _routes(job, number, other, start), barred, places)
-        costs[key] = settled.cost
-        return settled
+        rested = session.rested(other, places) if places else other
+        least_s = sum(_least_s(job, rested, start))
+        return Proposal(
+            rested.goal_mm, least_s, lambda: Settled(_paths_at_bound(job, number, rested, start), rested, barred, places)
+        )  # fmt: skip
 
-    first = Settled(visit, _routes(job, number, visit, start), frozenset(), {})
-    costs = {visit.goal_mm.tobytes(): first.cost}
-    best = least_costly(first, others, N_EXCHANGE)
+    def whole(settled: Settled) -> Settled:
+        return replace(settled, paths=_paths(job, number, settled.visit, start))
+
+    first = Proposal(visit.goal_mm, 0.0, lambda: Settled(_paths_at_bound(job, number, visit, start), visit, frozenset(), {}))
+    best = least_costly(first, others, whole, N_EXCHANGE)
     if best.blamed:
-        again = (replace(best, routes=_routes(job, number, best.visit, start, attempt)) for attempt in range(1, N_AGAIN + 1))
-        best = min([best, *again], key=lambda tried: tried.cost)
-    return best.visit, best.routes
+        return best.visit, _paths(job, number, best.visit, start, 1 + N_AGAIN)
+    return best.visit, Routes(*best.routed)
 
 
-def _least_s(job: TileJob, visit: VisitAllocation, start: State) -> float:
-    """Time that the paths of a visit take together, at the least: none is turned on the way home."""
+def _least_s(job: TileJob, visit: VisitAllocation, start: State) -> tuple[float, float, float]:
+    """Time that each of the paths of a visit takes at the least, s: none is turned on the way home."""
     instrument, park = job.plate.instrument, _park(job.plate)
-    alone_s = [alone_time_s(instrument, state.position_mm, state.theta_deg, visit.goal_mm).max() for state in (start, park)]
-    home_s = np.hypot(*(visit.goal_mm - park.position_mm)[job.plate.is_live].T).max() / instrument.coarse_speed_mm_s
-    return float(sum(alone_s) + home_s)
+    to_target_s, from_park_s = (
+        float(alone_time_s(instrument, state.position_mm, state.theta_deg, visit.goal_mm).max()) for state in (start, park)
+    )
+    home_mm = np.hypot(*(visit.goal_mm - park.position_mm)[job.plate.is_live].T).max()
+    return to_target_s, from_park_s, float(home_mm) / instrument.coarse_speed_mm_s
 
 
-def _routes(job: TileJob, number: int, visit: VisitAllocation, start: State, attempt: int = 0) -> Routes:
-    to_target = _route(job, number, "start_to_target", start, visit.goal_mm, attempt)
+def _paths_at_bound(job: TileJob, number: int, visit: VisitAllocation, start: State) -> tuple[RoutedPath | HeldUp, ...]:
+    """The three paths of a visit, each at its bound; after one that is given up none is routed."""
+    to_target = _route(route_at_bound, job, number, "start_to_target", start, visit.goal_mm)
+    if isinstance(to_target, HeldUp):
+        return to_target, *(HeldUp(bound_s, bound_s, ()) for bound_s in _least_s(job, visit, start)[1:])
     end = State(to_target.end_mm, to_target.end_theta_deg)
-    from_park = _route(job, number, "park_to_target", _park(job.plate), end.position_mm, attempt)
-    return Routes(to_target, from_park, _to_park(job, number + 1, end, attempt))
+    from_park = _route(route_at_bound, job, number, "park_to_target", _park(job.plate), end.position_mm)
+    if isinstance(from_park, HeldUp):
+        home_s = _least_s(job, visit, start)[2]
+        return to_target, from_park, HeldUp(home_s, home_s, ())
+    return to_target, from_park, _route(route_at_bound, job, number + 1, "start_to_park", end, _home_mm(job, end))
 
 
-def _to_park(job: TileJob, number: int, state: State, attempt: int = 0) -> RoutedPath:
-    """From here to park; dead robots stay."""
-    goal_mm = np.where(job.plate.is_live[:, None], job.plate.park_mm, state.position_mm)
-    return _route(job, number, "start_to_park", state, goal_mm, attempt)
+def _paths(job: TileJob, number: int, visit: VisitAllocation, start: State, n_attempt: int = 1) -> Routes:
+    """The three paths of a visit, each the best of some attempts."""
+    to_target = _best_path(job, number, "start_to_target", start, visit.goal_mm, n_attempt)
+    end = State(to_target.end_mm, to_target.end_theta_deg)
+    from_park = _best_path(job, number, "park_to_target", _park(job.plate), end.position_mm, n_attempt)
+    return Routes(to_target, from_park, _to_park(job, number + 1, end, n_attempt))
 
 
-def _route(job: TileJob, number: int, path: str, start: State, goal_mm: FloatArray, attempt: int = 0) -> RoutedPath:
+def _to_park(job: TileJob, number: int, state: State, n_attempt: int = 1) -> RoutedPath:
+    """From here to park."""
+    return _best_path(job, number, "start_to_park", state, _home_mm(job, state), n_attempt)
+
+
+def _home_mm(job: TileJob, state: State) -> FloatArray:
+    """(n_robot, 2) park; dead robots stay."""
+    return np.where(job.plate.is_live[:, None], job.plate.park_mm, state.position_mm)
+
+
+def _best_path(job: TileJob, number: int, path: str, start: State, goal_mm: FloatArray, n_attempt: int) -> RoutedPath:
+    """The first path at its bound, or else the best, of some attempts by other random steps."""
+    tried: list[Tried] = []
+    for attempt in range(n_attempt):
+        tried.append(Tried((_route(route, job, number, path, start, goal_mm, attempt),)))
+        if not tried[-1].blamed:
+            break
+    return min(tried, key=lambda one: one.cost).routed[0]
+
+
+def _route(
+    router: Callable[..., P], job: TileJob, number: int, path: str, start: State, goal_mm: FloatArray, attempt: int = 0
+) -> P:
     """Route one path of the visit with this number."""
     rng = _stream(job, "routing", number, path, *([attempt] if attempt else []))
-    return route(job.plate, start.position_mm, start.theta_deg, goal_mm, job.routing, rng)
+    return router(job.plate, start.position_mm, start.theta_deg, goal_mm, job.routing, rng)
 
 
 def _note(job: TileJob, rows: TileRows, path: str, start: State, routed: RoutedPath) -> PlayedPath:

@@ -23,12 +23,12 @@ AT_BOUND = 1 + 1e-9
 def least_of_pair_s(problem: Problem, pair: tuple[int, int], bound_s: float, effort: coordinate.Effort) -> float:
     """Least duration from the bound on that is found for two robots, were they alone."""
     robots = np.ascontiguousarray(new_plans(problem, ~problem.plate.is_live).robot[list(pair)])
-    plans, kept = (conflicts.stand_still(robots, np.zeros(2, planned.PLAN)) for _ in range(2))
+    plans = conflicts.stand_still(robots, np.zeros(2, planned.PLAN))
     phys, separation = physics(problem), problem.separation_mm
     shapes.start_directly(phys, plans, separation, 0.0)
     if not plans.n_conflict.any():
         return bound_s
-    coordinate.coordinate(phys, plans, kept, np.random.default_rng(0), bound_s, effort, separation, 0.0, np.full(2, -1))
+    coordinate.coordinate(phys, plans, np.random.default_rng(0), bound_s, effort, separation, 0.0, np.full(2, -1))
     return max(bound_s, conflicts.last_arrival(plans))
 
 

@@ -108,7 +108,7 @@ def exchanged(n_dead: int, n_target: int, seed: int) -> Iterator[tuple[Task, Rou
     begin = time.process_time()
     way = best_way(batch, goal, State(at, np.zeros(plate.n_robot)))
     ms = 1e3 * (time.process_time() - begin)
-    yield Task("start_to_target", plate, at, np.zeros(plate.n_robot), way.goal_mm), way.routed, ms
+    yield Task("start_to_target", plate, at, np.zeros(plate.n_robot), way.goal_mm), way.routed[0], ms
 
 
 def unmatched(router: str, seed: int) -> Iterator[tuple[Task, RoutedPath, float]]:

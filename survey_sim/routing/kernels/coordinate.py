@@ -5,6 +5,7 @@ takes.
 """
 
 # Kernels take flat arrays and untyped scalars, and are long where splitting them would cost calls.
+# ruff: noqa: PLR0912
 # mypy: disable-error-code="no-untyped-def"
 from typing import NamedTuple
 
@@ -17,10 +18,14 @@ from survey_sim.routing.kernels.planned import PLAN
 from survey_sim.routing.kernels.repair import begin, repair
 from survey_sim.routing.kernels.shapes import start_directly
 
+# How the search of `coordinate` ended.
+FOUND, NOT_FOUND, GIVEN_UP = range(3)
 MAX_PAIRS = 64
 # Longer durations of a pair: the first by this share of the bound, then twice as much; found to within the second share.
 FIRST_PAIR_FRAC = 0.01
 PAIR_FRAC = 0.002
+# A pair that no longer plan is looked for needs less than the first share of the bound more, or about the second.
+NEAR_FRAC, FAR_FRAC = 0.05, 0.1
 # First stride above what the pairs need, as a share of it; each is twice the one before, up to this many times the bound.
 FIRST_STRIDE_FRAC = 0.003
 MOST_STRIDES = 6.0
@@ -48,6 +53,8 @@ class Effort(NamedTuple):
         Steps of all robots at one duration.
     shorten
         Steps spent on shortening plans that were not found at the bound.
+    exceeds
+        Whether longer plans are looked for at all; if not, the first pair that has none at the bound ends the search.
     """
 
     sample: int
@@ -55,6 +62,7 @@ class Effort(NamedTuple):
     pair: int
     quick: int
     shorten: int
+    exceeds: bool = True
 
 
 @kernel
@@ -81,7 +89,7 @@ def tasks_of_pair(phys, robots, i, j, duration, separation):
 def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
     """Least duration from `low` on in which robots i and j are found to do without a conflict, were they alone.
 
-    Where that is longer, robots i and j are given the plans that do.
+    Where that is longer, robots i and j are given the plans that do; if none longer is looked for, only about how long.
     """
     tasks = tasks_of_pair(phys, plans.robot, i, j, low, separation)
     pair = stand_still(tasks, np.zeros(len(tasks), PLAN))
@@ -89,6 +97,8 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
     begin(phys, pair, rng, low, effort.sample, separation, margin)
     if repair(phys, pair, rng, low, effort.pair, effort.sample, separation, margin) >= 0:
         return low
+    if not effort.exceeds:
+        return _about_least(phys, pair, rng, low, effort, separation, margin)
     kept = stand_still(tasks, np.zeros(len(tasks), PLAN))
     unit = max(low, SHORT_S)
     failed, found, more = low, np.inf, FIRST_PAIR_FRAC * unit
@@ -122,6 +132,15 @@ def least_of_pair(phys, plans, rng, i, j, low, effort, separation, margin):
 
 
 @kernel
+def _about_least(phys, pair, rng, low, effort, separation, margin):
+    """About the duration that a pair needs that has no plan within `low`: near it or far."""
+    near = low * (1.0 + NEAR_FRAC)
+    begin(phys, pair, rng, near, effort.sample, separation, margin)
+    is_near = repair(phys, pair, rng, near, effort.pair, effort.sample, separation, margin) >= 0
+    return min(near, last_arrival(pair)) if is_near else low * (1.0 + FAR_FRAC)
+
+
+@kernel
 def least_of_pairs(phys, plans, rng, low, effort, separation, margin, slow_pair):
     """Least duration from `low` on in which each pair now in conflict is found to do without one, were it alone.
 
@@ -143,12 +162,14 @@ def least_of_pairs(phys, plans, rng, low, effort, separation, margin, slow_pair)
         if least > low:
             low = least
             slow_pair[:] = pairs[k]
+            if not effort.exceeds:
+                break
     return low
 
 
 @kernel
-def coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_pair):
-    """Plans without conflict, as near to `bound` as is found; returns whether there are any.
+def coordinate(phys, plans, rng, bound, effort, separation, margin, slow_pair):
+    """Plans without conflict, as near to `bound` as is found: FOUND, NOT_FOUND or GIVEN_UP, and about the duration needed.
 
     First at the bound; where that fails, at the least duration of the pairs in conflict, each alone; then at longer ones,
     in strides, since those that fail cost most; then back down from plans that hold, part of the way to what failed or a
@@ -156,11 +177,13 @@ def coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_p
     """
     begin(phys, plans, rng, bound, effort.sample, separation, margin)
     if repair(phys, plans, rng, bound, effort.first, effort.sample, separation, margin) >= 0:
-        return True
+        return FOUND, bound
     unit = max(bound, SHORT_S)
     low = least_of_pairs(phys, plans, rng, bound, effort, separation, margin, slow_pair)
     duration, failed, more, n_raise = low, bound, FIRST_STRIDE_FRAC * unit, 0
     while True:
+        if duration > bound and not effort.exceeds:
+            return GIVEN_UP, duration
         if duration > bound:
             begin(phys, plans, rng, duration, effort.sample, separation, margin)
         if repair(phys, plans, rng, duration, effort.quick, effort.sample, separation, margin) >= 0:
@@ -172,9 +195,10 @@ def coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_p
             n_raise += 1
         else:
             if more > MOST_STRIDES * unit:
-                return False
+                return NOT_FOUND, duration
             duration = low + more
             more *= 2.0
+    kept = stand_still(plans.robot, np.zeros(len(plans.robot), PLAN))
     copy_plans(plans, kept)
     found, done = last_arrival(kept), 0
     while done < effort.shorten and found > bound + SAME_DELAY_S:
@@ -193,4 +217,4 @@ def coordinate(phys, plans, kept, rng, bound, effort, separation, margin, slow_p
             failed = max(failed, trial)
             # Below what the pairs were found to need, a second failure is as good as certain.
             done += effort.shorten if is_below else effort.quick
-    return True
+    return FOUND, found

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,10 +16,10 @@ from survey_sim.allocation import match_again, match_around, rest, resting_place
 from survey_sim.geometry import FloatArray
 from survey_sim.instrument import Plate
 from survey_sim.motion import alone_time_s
-from survey_sim.routing import RoutedPath, RoutingSettings, UnroutedReason, route
+from survey_sim.routing import HeldUp, RoutedPath, RoutingSettings, UnroutedReason, route, route_at_bound
 from survey_sim.schema import TARGET_KINDS
 from survey_sim.simulation import simulate
-from survey_sim.survey.exchanges import cost_of, is_any_far, least_costly
+from survey_sim.survey.exchanges import Proposal, Tried, least_costly
 from survey_sim.survey.rows import PlayedPath, Rows
 from survey_sim.survey.tile import REASON_CODES, State, stream
 
@@ -107,8 +107,8 @@ class Configurations:
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to a visit that was routed.
+class Way(Tried):
+    """A way to a visit that was tried.
 
     Attributes
     ----------
@@ -120,25 +120,8 @@ class Way:
 
     giver: IntArray
     goal_mm: FloatArray
-    routed: RoutedPath
     barred: frozenset[tuple[int, int]]
     places: Places
-
-    @property
-    def cost(self) -> tuple[int, float]:
-        """Robots that do not arrive, and time, s."""
-        return cost_of(self.routed)
-
-    @property
-    def is_far(self) -> bool:
-        """Whether it is far beyond its bound."""
-        return is_any_far(self.routed)
-
-    @property
-    def blamed(self) -> tuple[int, ...]:
-        """Robots that do not arrive, or hold the others up."""
-        lost = np.flatnonzero(self.routed.reason != UnroutedReason.ARRIVED).tolist()
-        return tuple(dict.fromkeys([*lost, *self.routed.held_up]))
 
 
 @dataclass(frozen=True)
@@ -205,7 +188,7 @@ def _go_on(
     """Configure for one visit: where the robots stand then, how long it took, s, and science targets lost."""
     plate, key = batch.plate, {"exposure_id": step}
     way = best_way(batch, goal, state)
-    giver, routed = way.giver, way.routed
+    giver, (routed,) = way.giver, way.routed
     played = simulate(plate, state.position_mm, state.theta_deg, routed.legs)
     made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
     rows["exposure_paths"].add(1, **key, **made.path_columns())
@@ -232,30 +215,25 @@ def _go_on(
 def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
     """The way to a visit: targets matched again, and exchanged where robots would be in each other's way."""
     plate, has_target = batch.plate, goal.target_id >= 0
-    instrument = plate.instrument
 
-    def routed(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Way:
+    def paths(router: Callable[..., RoutedPath | HeldUp], goal_mm: FloatArray) -> tuple[RoutedPath | HeldUp]:
         rng = stream(batch.seed, "transition", *goal.visit)
-        path = route(plate, state.position_mm, state.theta_deg, goal_mm, batch.routing, rng)
-        return Way(giver, goal_mm, path, barred, places)
+        return (router(plate, state.position_mm, state.theta_deg, goal_mm, batch.routing, rng),)
 
-    def tried(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Way | None:
+    def proposed(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Proposal[Way]:
         rest(plate, giver < 0, goal_mm, places)
-        key = goal_mm.tobytes()
-        alone_s = alone_time_s(instrument, state.position_mm, state.theta_deg, goal_mm).max()
-        if key in costs or (0, alone_s) > min(costs.values()):
-            return None
-        way = routed(giver, goal_mm, barred, places)
-        costs[key] = way.cost
-        return way
+        least_s = alone_time_s(plate.instrument, state.position_mm, state.theta_deg, goal_mm).max()
+        return Proposal(
+            goal_mm, least_s, lambda: Way(paths(route_at_bound, goal_mm), giver, goal_mm, barred, places)
+        )  # fmt: skip
 
-    def exchanged(way: Way, barred: frozenset[tuple[int, int]]) -> Way | None:
+    def exchanged(way: Way, barred: frozenset[tuple[int, int]]) -> Proposal[Way] | None:
         found = match_around(
             plate, state.position_mm, goal.end_mm, has_target, goal.travel_power, barred, untangles=True
         )  # fmt: skip
-        return None if found is None else tried(*found, barred, way.places)
+        return None if found is None else proposed(*found, barred, way.places)
 
-    def others(way: Way) -> Iterator[Way | None]:
+    def others(way: Way) -> Iterator[Proposal[Way] | None]:
         if not way.barred and not way.places:
             yield exchanged(way, way.barred)
         for robot in way.blamed:
@@ -263,12 +241,13 @@ def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
                 yield exchanged(way, way.barred | {(robot, int(way.giver[robot]))})
             else:
                 for place in resting_places(plate, state.position_mm, way.goal_mm, robot):
-                    yield tried(way.giver, way.goal_mm.copy(), way.barred, {**way.places, robot: place})
+                    yield proposed(way.giver, way.goal_mm.copy(), way.barred, {**way.places, robot: place})
 
-    giver, goal_mm = match_again(plate, state.position_mm, goal.end_mm, has_target, goal.travel_power)
-    first = routed(giver, goal_mm, frozenset(), {})
-    costs = {goal_mm.tobytes(): first.cost}
-    return least_costly(first, others, N_EXCHANGE)
+    def whole(way: Way) -> Way:
+        return replace(way, paths=paths(route, way.goal_mm))
+
+    matched = match_again(plate, state.position_mm, goal.end_mm, has_target, goal.travel_power)
+    return least_costly(proposed(*matched, frozenset(), {}), others, whole, N_EXCHANGE)
 
 
 def batches(
