@@ -59,10 +59,11 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 def inner_kernel(function: Callable[..., Any]) -> Any:
     """
-    Compile a function that kernels call often, as `kernel` does, but without counts of references to arrays.
+    Compile a function into the kernels that call it often, without counts of references to arrays.
 
     The counts cost two atomic operations for each array of each call, tuples' arrays included: several times what a function
-    of a few lines takes. Whoever calls it holds the arrays meanwhile.
+    of a few lines takes. Whoever calls it holds the arrays meanwhile. A call hands over each array as seven numbers, which
+    takes as long again; so its code stands where it is called.
 
     Parameters
     ----------
@@ -74,4 +75,4 @@ def inner_kernel(function: Callable[..., Any]) -> Any:
     numba dispatcher
         What is compiled is kept on disk where `numba.njit(cache=True)` keeps it.
     """
-    return _kept(njit(_nrt=False)(function), function)
+    return _kept(njit(_nrt=False, forceinline=True)(function), function)

@@ -108,3 +108,38 @@ def most_covered(value, near, reach, is_shut, capacity):
 
     tried = product(range(-1, len(capacity)), repeat=len(value))
     return max(value[np.array(visit_of) >= 0].sum() for visit_of in tried if may_be(visit_of)), may_be
+
+
+def ways_cost(slot, start, park, xy, delay, power, pull):
+    """Cost of a plan: `slot[visit, robot]` says the item held; moves, distances from park and delays, summed up."""
+    total = 0.0
+    for robot in range(slot.shape[1]):
+        place = start[robot]
+        for visit, item in enumerate(slot[:, robot]):
+            if item >= 0:
+                total += np.hypot(*(xy[item] - place)) ** power + visit * delay[item]
+                total += pull * np.hypot(*(xy[item] - park[robot])) ** power
+                place = xy[item]
+    return total
+
+
+def exchanges(slot):
+    """All plans that one exchange makes of a plan: of two places' items, one perhaps empty, or of all from a visit on."""
+    n_visit, n_robot = slot.shape
+    places = list(product(range(n_visit), range(n_robot)))
+    for one, other in combinations(places, 2):
+        changed = slot.copy()
+        changed[one], changed[other] = slot[other], slot[one]
+        yield changed
+    for visit, one, other in product(range(n_visit), range(n_robot), range(n_robot)):
+        changed = slot.copy()
+        changed[visit:, one], changed[visit:, other] = slot[visit:, other], slot[visit:, one]
+        yield changed
+
+
+def is_legal(slot, reach, near, capacity):
+    """Whether all items of a plan are in reach (`reach[item]`), apart from those of their visit, and not too many."""
+    held = [[item for item in row if item >= 0] for row in slot]
+    apart = all(b not in near[a] for row in held for a, b in combinations(row, 2))
+    in_reach = all(item < 0 or robot in reach[item] for row in slot for robot, item in enumerate(row))
+    return apart and in_reach and all(len(row) <= capacity for row in held)

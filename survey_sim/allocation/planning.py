@@ -237,6 +237,7 @@ class Search:
         rank = (field.targets.priority[self.item_target] - 1.0) / 8.0
         is_shut = self._shut(guides)
         visit_of = visit_of.copy()
+        candidates = sample_within(xy, EXCHANGE_RADIUS_MM, self.n_exchange, self.state)
         for _ in range(N_ROUND if n_visit else 0):
             slot, robot_of = self._match_all(n_visit, visit_of)
             shorten(
@@ -245,7 +246,7 @@ class Search:
                 self.value, kin, settings.delay_worth_mm**power * rank,
                 self.near_first, self.near, self.item_target, field.reach_first, field.reach_robot,
                 self.request.is_pair_open, is_shut, np.full(n_visit, self.capacity),
-                sample_within(xy, EXCHANGE_RADIUS_MM, self.n_exchange, self.state), slot, visit_of, robot_of, self.state,
+                candidates, slot, visit_of, robot_of, self.state,
             )  # fmt: skip
         return visit_of
 
