@@ -11,7 +11,7 @@ from survey_sim import tables
 from survey_sim.schedule import Programme, Robots, Schedule, make_completeness, make_schedule, make_time_budget
 from survey_sim.survey.progress import night_progress
 from survey_sim.survey.run import Run, code_digest
-from survey_sim.survey.transitions import Configurations, PlateRobots, Ways, drop_parts, write_parts
+from survey_sim.survey.transitions import Configurations, PlateRobots, Ways, drop_parts, route_and_pack, write_parts
 
 # Rooms whose code decides what the robots do between two pointings.
 WAY_ROOMS = ("allocation", "routing", "simulation", "survey/rows", "survey/tile", "survey/transitions")
@@ -22,6 +22,7 @@ def schedule_run(run: Run) -> Schedule:
     if run.settings.schedule.configuration_s != "routed":
         drop_parts(run)
         return _make_schedule(run, None)
+    run.workers.begin(route_and_pack)
     power = {survey: run.settings.allocation.of(survey).travel_power for survey in run.settings.surveys}
     with night_progress(run.console, run.settings.schedule.n_night) as advance:
         robots = PlateRobots(

@@ -59,6 +59,18 @@ class Workers:
         """Whether there are processes besides this one."""
         return self.n > 0 or self.scheduler is not None
 
+    def begin(self, function: Callable[[Any], Any]) -> None:
+        """Start processes on this machine, and have them load the module of a function that they will be given.
+
+        They do so while this process goes on.
+        """
+        if self.n > 0 and self.scheduler is None:
+            from distributed import fire_and_forget  # noqa: PLC0415
+
+            client = self._open()
+            for address in client.scheduler_info()["workers"]:
+                fire_and_forget(client.submit(_load, function, workers=[address], pure=False))
+
     def stream(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """Results of the tasks as they come; a bounded number is under way, and no other is made.
 
@@ -157,6 +169,10 @@ def memory_mib() -> float:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def _load(function: Callable[[Any], Any]) -> None:
+    """Nothing: a process that was given a function has loaded its module."""
 
 
 def _stream_here(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:

@@ -5,6 +5,15 @@
 
 from survey_sim.survey.transitions.chains import EXPOSURE_TABLES, Configurations
 from survey_sim.survey.transitions.parts import are_parts_whole, drop_parts, write_parts
-from survey_sim.survey.transitions.robots import PlateRobots, Ways
+from survey_sim.survey.transitions.robots import PlateRobots, Ways, route_and_pack
 
-__all__ = ["EXPOSURE_TABLES", "Configurations", "PlateRobots", "Ways", "are_parts_whole", "drop_parts", "write_parts"]
+__all__ = [
+    "EXPOSURE_TABLES",
+    "Configurations",
+    "PlateRobots",
+    "Ways",
+    "are_parts_whole",
+    "drop_parts",
+    "route_and_pack",
+    "write_parts",
+]
