@@ -59,6 +59,12 @@ class Legs:
         """The legs at these rows (indices or a mask), in their order."""
         return Legs(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    @property
+    def last(self) -> npt.NDArray[np.int64]:
+        """(n_mover,) place of the last leg of each robot that has legs."""
+        ends = np.flatnonzero(self.robot[1:] != self.robot[:-1])
+        return np.append(ends, len(self) - 1) if len(self) else ends
+
     def starting_at(self, start_s: FloatArray) -> "Legs":
         """The same legs, each starting when told."""
         return replace(self, start_s=start_s)

@@ -117,9 +117,10 @@ def _bound_s(problem: Problem, solution: Solution) -> float:
 def _result(problem: Problem, solution: Solution) -> RoutedPath:
     legs, reason, slow_pair, _ = solution
     end_mm, end_theta = problem.start_mm.copy(), problem.start_theta_deg.copy()
-    last = np.flatnonzero(np.diff(legs.robot, append=-1) != 0)
-    end_mm[legs.robot[last]] = np.column_stack([legs.x_mm[last], legs.y_mm[last]])
-    end_theta[legs.robot[last]] = legs.theta_deg[last]
+    last = legs.last
+    mover = legs.robot[last]
+    end_mm[mover, 0], end_mm[mover, 1] = legs.x_mm[last], legs.y_mm[last]
+    end_theta[mover] = legs.theta_deg[last]
     rotating, moving = leg_times_s(problem.plate.instrument, legs)
     rest_s = legs.start_s + rotating + moving
     time_s = float(rest_s.max(initial=0.0))

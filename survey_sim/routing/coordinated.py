@@ -34,8 +34,7 @@ def route_coordinated(
     `exceeds`: whether a path that takes longer than the bound is looked for, or given up.
     """
     solution = _plan(problem, settings, settings.margin_mm, rng, exceeds=exceeds)
-    has_failed = np.isin(solution.reason, (UnroutedReason.NO_PATH, UnroutedReason.DEADLOCK)).any()
-    if settings.margin_mm > 0 and has_failed:
+    if settings.margin_mm > 0 and np.isin(solution.reason, (UnroutedReason.NO_PATH, UnroutedReason.DEADLOCK)).any():
         solution = _plan(problem, settings, 0.0, rng, exceeds=exceeds)
     return solution
 
@@ -146,16 +145,5 @@ def _cascade(problem: Problem, plans: conflicts.Plans) -> list[int]:
 
 def legs_of(problem: Problem, plans: conflicts.Plans) -> Legs:
     """Legs of plans."""
-    plan = plans.plan
-    n_leg = plan["n_leg"]
-    robot = np.repeat(np.arange(problem.n_robot), n_leg)
-    leg = np.arange(len(robot)) - np.repeat(np.cumsum(n_leg) - n_leg, n_leg)
-    return make_legs(
-        problem.plate.instrument,
-        problem.start_mm,
-        problem.start_theta_deg,
-        robot.astype(np.int32),
-        planned.leg_starts(physics(problem), plans)[robot, leg],
-        np.column_stack([plan["x"][robot, leg], plan["y"][robot, leg]]),
-        plan["turned"][robot, leg] != 0,
-    )
+    legs = planned.list_legs(physics(problem), plans)
+    return make_legs(problem.plate.instrument, problem.start_mm, problem.start_theta_deg, *legs)

@@ -62,7 +62,7 @@ def simulate(plate: Plate, start_mm: FloatArray, start_theta_deg: FloatArray, le
     """
     rotating, moving = leg_times_s(plate.instrument, legs)
     own_s = _own_times(plate.n_robot, legs.robot, legs.start_s, rotating, moving)
-    last = np.flatnonzero(np.diff(legs.robot, append=-1) != 0)
+    last = legs.last
     mover = legs.robot[last]
     end_mm, end_theta = np.array(start_mm, dtype=np.float64), np.array(start_theta_deg, dtype=np.float64)
     end_mm[mover, 0], end_mm[mover, 1] = legs.x_mm[last], legs.y_mm[last]

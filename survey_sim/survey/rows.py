@@ -61,7 +61,7 @@ class PlayedPath:
     @cached_property
     def n_unrouted(self) -> int:
         """Robots that were not routed."""
-        return sum(reason is not None for reason in self.reason)
+        return len(self.reason) - self.reason.tolist().count(None)
 
     def figures(self) -> dict[str, float | int]:
         """Those that both `paths` and `visits` hold."""

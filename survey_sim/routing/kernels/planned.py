@@ -213,23 +213,32 @@ def coordinate_at(t, z, k, last, when):
 
 
 @kernel
-def leg_starts(phys, plans):
-    """(n, max_legs) when each leg of each plan starts, s."""
-    start_s = np.zeros((len(plans.robot), len(plans.plan[0].x)))
-    for i in range(len(plans.robot)):
-        _leg_starts(phys, plans.robot[i], plans.plan[i], start_s[i])
-    return start_s
+def list_legs(phys, plans):
+    """Legs of all plans, robot by robot: whose (n_leg,), when they start, s, where they end (n_leg, 2), whether turned."""
+    n_leg = 0
+    for i in range(len(plans.plan)):
+        n_leg += plans.plan[i].n_leg
+    robot, start_s = np.empty(n_leg, np.int32), np.empty(n_leg)
+    way, is_turned = np.empty((n_leg, 2)), np.empty(n_leg, np.bool_)
+    first = 0
+    for i in range(len(plans.plan)):
+        n_leg = plans.plan[i].n_leg
+        robot[first : first + n_leg] = i
+        _list_legs(phys, plans.robot[i], plans.plan[i], first, start_s, way, is_turned)
+        first += n_leg
+    return robot, start_s, way, is_turned
 
 
 @inner_kernel
-def _leg_starts(phys, robot, plan, start_s):
+def _list_legs(phys, robot, plan, first, start_s, way, is_turned):
     t, hx, hy, x, y = 0.0, robot.hx, robot.hy, robot.sx, robot.sy
     for m in range(plan.n_leg):
         t += plan.wait[m]
-        start_s[m] = t
+        start_s[first + m], is_turned[first + m] = t, plan.turned[m] != 0
         ex, ey = plan.x[m] - x, plan.y[m] - y
         turned_s, square_s = leg_options(phys, hx, hy, ex, ey, m == plan.n_leg - 1)
         t += turned_s if plan.turned[m] else square_s
         if plan.turned[m]:
             hx, hy = turned_heading(hx, hy, ex, ey)
         x, y = plan.x[m], plan.y[m]
+        way[first + m, 0], way[first + m, 1] = x, y

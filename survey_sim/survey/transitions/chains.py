@@ -220,12 +220,13 @@ def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
         rng = stream(batch.seed, "transition", *goal.visit)
         return (router(plate, state.position_mm, state.theta_deg, goal_mm, batch.routing, rng),)
 
+    def tried(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Way:
+        return Way(paths(route_at_bound, goal_mm), giver, goal_mm, barred, places)
+
     def proposed(giver: IntArray, goal_mm: FloatArray, barred: frozenset[tuple[int, int]], places: Places) -> Proposal[Way]:
         rest(plate, giver < 0, goal_mm, places)
         least_s = alone_time_s(plate.instrument, state.position_mm, state.theta_deg, goal_mm).max()
-        return Proposal(
-            goal_mm, least_s, lambda: Way(paths(route_at_bound, goal_mm), giver, goal_mm, barred, places)
-        )  # fmt: skip
+        return Proposal(goal_mm, least_s, lambda: tried(giver, goal_mm, barred, places))
 
     def exchanged(way: Way, barred: frozenset[tuple[int, int]]) -> Proposal[Way] | None:
         found = match_around(
@@ -246,8 +247,9 @@ def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
     def whole(way: Way) -> Way:
         return replace(way, paths=paths(route, way.goal_mm))
 
-    matched = match_again(plate, state.position_mm, goal.end_mm, has_target, goal.travel_power)
-    return least_costly(proposed(*matched, frozenset(), {}), others, whole, N_EXCHANGE)
+    giver, goal_mm = match_again(plate, state.position_mm, goal.end_mm, has_target, goal.travel_power)
+    first = Proposal(goal_mm, 0.0, lambda: tried(giver, goal_mm, frozenset(), {}))
+    return least_costly(first, others, whole, N_EXCHANGE)
 
 
 def batches(
