@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +20,9 @@ from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pa
 
 IntArray = npt.NDArray[np.int64]
 
-# Tiles that a worker plans at a time, at most, where there are so many tasks for each of few workers.
+# Tiles of a colour are planned in so many tasks at most, each of so many tiles at least: a task costs some milliseconds.
+_MOST_TASKS = 16
 _TILES_A_TASK = 4
-_MANY_TASKS = 12
 # Columns of a plan; visits are counted in their group, a range of magnitudes.
 PLAN = {"survey": pl.String, "tile_id": pl.Int32, "group": pl.Int32, "visit": pl.Int32, "target_id": pl.Int64}
 
@@ -78,10 +80,10 @@ class _TileOrder:
 
 @dataclass(frozen=True)
 class _Task:
-    """Tiles that a worker plans at a time."""
+    """Tiles that a worker plans at a time; the orders are pickled, as one piece is sent sooner than their many arrays."""
 
     rules: PoolRules
-    orders: tuple[_TileOrder, ...]
+    orders: bytes
     place: int
 
 
@@ -142,9 +144,10 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
                     kept=replace(order.kept, row=target_id[order.kept.row]),
                 )
             )
-        tasks = [_Task(rules, some, place) for place, some in enumerate(_chunks(asked))]
+        tasks = [_Task(rules, pickle.dumps(some), place) for place, some in enumerate(_chunks(asked))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
-        return [replace(plan, row=np.searchsorted(target_id, plan.row)) for _, plans in done for plan in plans]
+        plans = chain.from_iterable(pickle.loads(packed) for _, packed in done)
+        return [replace(plan, row=np.searchsorted(target_id, plan.row)) for plan in plans]
 
     pool_visits(pool, plan_tiles)
     return pool
@@ -178,14 +181,14 @@ def _plan_table(survey: str, pool: Pool, target_id: IntArray) -> pl.DataFrame:
 
 
 def _chunks(orders: Sequence[_TileOrder]) -> Iterator[tuple[_TileOrder, ...]]:
-    """Orders of a task: few where there are few, so that no worker waits long for another."""
-    n = min(max(1, len(orders) // _MANY_TASKS), _TILES_A_TASK)
+    """Orders of each task."""
+    n = max(_TILES_A_TASK, -(-len(orders) // _MOST_TASKS))
     for begin in range(0, len(orders), n):
         yield tuple(orders[begin : begin + n])
 
 
-def _plan_task(task: _Task) -> tuple[int, list[Planned]]:
-    return task.place, [_plan_tile(task.rules, order) for order in task.orders]
+def _plan_task(task: _Task) -> tuple[int, bytes]:
+    return task.place, pickle.dumps([_plan_tile(task.rules, order) for order in pickle.loads(task.orders)])
 
 
 def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
