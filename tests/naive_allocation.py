@@ -87,11 +87,11 @@ def least_distance_with_delay(a, b, delay, n_step=4000):
 def most_covered(value, near, reach, is_shut, capacity):
     """Most value of items in visits, and the rule that says whether visits of items (-1: none) are allowed.
 
-    `near`: pairs of items; `reach`: robots that reach each item.
+    `near`: pairs of items; `reach`: of each visit, the robots that reach each item.
     """
 
-    def has_robots(items, free):
-        return not items or any(has_robots(items[1:], free - {robot}) for robot in reach[items[0]] & free)
+    def has_robots(items, reach, free):
+        return not items or any(has_robots(items[1:], reach, free - {robot}) for robot in reach[items[0]] & free)
 
     def may_be(visit_of):
         for visit, most in enumerate(capacity):
@@ -101,7 +101,7 @@ def most_covered(value, near, reach, is_shut, capacity):
                 len(items) > most
                 or is_shut[items, visit].any()
                 or not is_apart
-                or not has_robots(items, set().union(*reach))
+                or not has_robots(items, reach[visit], set().union(*reach[visit]))
             ):
                 return False
         return True

@@ -1,20 +1,24 @@
 """Pooling of visits: which tile takes a target, how many visits each tile gets, and that visits are made as planned."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
 import pytest
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial.distance import pdist
 
-from survey_sim.allocation import AllocationSettings
+from survey_sim.allocation import AllocationSettings, FieldTargets, TileVisits, make_field, plan_visits
 from survey_sim.geometry import sky_to_plate
 from survey_sim.instrument import load_instrument, make_plate
 from survey_sim.survey.pooling import PLAN, PoolRules, pool_survey
 from survey_sim.survey.tile import last_group, planned_visits, simulate_tile
 from survey_sim.survey.workers import Workers
-from survey_sim.tiling import Order, Planned, Pool, TilingSettings, make_pool, make_tiles, pool_visits
+from survey_sim.tiling import Order, Planned, Pool, TilingSettings, make_pool, make_tiles, pool_visits, pooling
+from survey_sim.tiling.exchange import exchange_visits
 from tests.test_tile import _job
 from tests.test_tiling import make_targets, random_places
 
@@ -23,10 +27,21 @@ FIELD_DEG = PLATE.instrument.field_radius_deg
 CAPACITY = 2
 
 
-def _first_come(orders: Sequence[Order]) -> list[Planned]:
-    """A planner by hand: the first targets, as many as there are fibres."""
-    taken = [order.row[: order.n_visit[0] * CAPACITY] for order in orders]
-    return [Planned(row, np.zeros(len(row), np.int64), np.arange(len(row)) // CAPACITY) for row in taken]
+def _first_come(orders: Sequence[tuple[Order, ...]]) -> list[tuple[Planned, ...]]:
+    """A planner by hand: the most targets that the fibres of all tiles that plan together can hold, the first of them."""
+    return [tuple(_matched(some)) for some in orders]
+
+
+def _matched(orders: tuple[Order, ...]) -> Iterator[Planned]:
+    n_fibre = [order.n_visit[0] * CAPACITY for order in orders]
+    reach = np.zeros((sum(n_fibre), 1 + max(order.row.max(initial=0) for order in orders)))
+    first = np.cumsum([0, *n_fibre])
+    for number, order in enumerate(orders):
+        reach[first[number] : first[number + 1], order.row] = 1
+    held = maximum_bipartite_matching(csr_array(reach), perm_type="column")
+    for begin, end in pairwise(first):
+        row = np.sort(held[begin:end][held[begin:end] >= 0]).astype(np.int64)
+        yield Planned(row, np.zeros(len(row), np.int64), np.arange(len(row)) // CAPACITY)
 
 
 def _pool(tiles: Sequence[Sequence[int]], home: Sequence[int], wanted_frac: float = 1.0) -> Pool:
@@ -62,12 +77,13 @@ def test_a_tile_with_many_waiting_gets_a_visit_more() -> None:
     assert pool.is_done.all()
 
 
-def _one_by_one(orders: Sequence[Order]) -> list[Planned]:
+def _one_by_one(orders: Sequence[tuple[Order, ...]]) -> list[tuple[Planned, ...]]:
     """A planner by hand of targets that want three visits each and are all too near to each other."""
     plans = []
-    for order in orders:
-        n = min(len(order.row), order.n_visit[0] // 3)
-        plans.append(Planned(np.repeat(order.row[:n], 3), np.zeros(3 * n, np.int64), np.arange(3 * n)))
+    for some in orders:
+        n = [min(len(order.row), order.n_visit[0] // 3) for order in some]
+        rows = [np.repeat(order.row[:k], 3) for order, k in zip(some, n, strict=True)]
+        plans.append(tuple(Planned(row, np.zeros(len(row), np.int64), np.arange(len(row))) for row in rows))
     return plans
 
 
@@ -85,7 +101,7 @@ def test_a_visit_that_the_survey_can_do_without_is_given_up() -> None:
     assert pool.is_done.tolist() == [True, True, True, True, False]
 
 
-def test_what_was_tried_and_has_not_changed_since_is_not_planned_again() -> None:
+def test_what_was_tried_and_has_not_changed_since_is_not_planned_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six tiles, apart from each other, of which the survey may lose a few targets: every order is a new one."""
     tiles = [list(range(5 * t, 5 * t + 1 + t % 5)) for t in range(6)]
     targets = {target: number for number, target in enumerate(target for tile in tiles for target in tile)}
@@ -93,14 +109,65 @@ def test_what_was_tried_and_has_not_changed_since_is_not_planned_again() -> None
     pool = _pool([[targets[i] for i in tile] for tile in tiles], home, wanted_frac=0.7)
     asked = []
 
-    def planner(orders: Sequence[Order]) -> list[Planned]:
-        asked.extend((o.tile, o.row.tobytes(), o.n_visit.tobytes(), o.kept.row.tobytes()) for o in orders)
+    def planner(orders: Sequence[tuple[Order, ...]]) -> list[tuple[Planned, ...]]:
+        asked.extend((o.tile, o.row.tobytes(), o.n_visit.tobytes(), o.kept.row.tobytes()) for (o,) in orders)
         return _first_come(orders)
+
+    monkeypatch.setattr(pooling, "exchange_visits", lambda pool, plan_tiles: None)
 
     pool_visits(pool, planner)
     assert pool.is_done.mean() >= 0.7
     assert len(asked) > 6
     assert len(set(asked)) == len(asked)
+
+
+def _planned(pool: Pool, *rows: list[int]) -> None:
+    """Give each tile a plan that holds these targets, in as many visits as they fill."""
+    for tile, row in enumerate(rows):
+        n_visit = np.array([-(-len(row) // CAPACITY)])
+        plan = Planned(np.array(row, np.int64), np.zeros(len(row), np.int64), np.arange(len(row)) // CAPACITY)
+        pool.accept([replace(pool.order(tile), n_visit=n_visit)], [plan])
+
+
+def test_a_visit_is_given_up_if_neighbours_take_its_targets() -> None:
+    """Of three targets in two visits, the neighbour's idle fibre can take one: none is lost with a visit less."""
+    pool = _pool([[0, 1], [1, 2, 3]], [0, 1, 1, 1])
+    _planned(pool, [0], [1, 2, 3])
+    exchange_visits(pool, _first_come)
+    assert pool.n_visit[:, 0].tolist() == [1, 1]
+    assert pool.home.tolist() == [0, 0, 1, 1]
+    assert pool.is_done.all()
+    _is_held_at_home(pool)
+
+
+def test_a_visit_is_made_where_it_brings_more_than_another_that_is_given_up() -> None:
+    pool = _pool([[0, 1], [2]], [0, 0, 1], wanted_frac=1 / 3)
+    _planned(pool, [], [2])
+    exchange_visits(pool, _first_come)
+    assert pool.n_visit[:, 0].tolist() == [1, 0]
+    assert pool.is_done.tolist() == [True, True, False]
+    _is_held_at_home(pool)
+
+
+def test_a_survey_that_lacks_targets_exchanges_no_visits() -> None:
+    pool = _pool([[0, 1], [2]], [0, 0, 1])
+    _planned(pool, [], [2])
+    exchange_visits(pool, _first_come)
+    assert pool.n_visit[:, 0].tolist() == [0, 1]
+
+
+def test_what_wants_several_visits_stays_on_its_tile_when_tiles_plan_together() -> None:
+    pool = replace(_pool([[0, 1, 2], [0, 1, 2]], [0, 0, 1]), wanted_visits=np.array([1, 2, 2]))
+    orders = pool.together(np.array([0, 1]), np.array([[2], [2]]))
+    assert [order.row.tolist() for order in orders] == [[0, 1], [0, 2]]
+
+
+def _is_held_at_home(pool: Pool) -> None:
+    """Each target that is done stands once, in the plan of its home."""
+    rows = np.concatenate([plan.row for plan in pool.plans])
+    homes = np.repeat(np.arange(pool.n_tile), [len(plan.row) for plan in pool.plans])
+    assert np.sort(rows).tolist() == np.flatnonzero(pool.is_done).tolist()
+    assert pool.home[rows].tolist() == homes.tolist()
 
 
 def test_fibres_are_left_for_calibration_that_is_to_be_had() -> None:
@@ -166,6 +233,27 @@ def test_visits_of_a_range_hold_its_magnitudes(sky: tuple[pl.DataFrame, pl.DataF
     assert mag.filter(group=0)["mag"].max() == 6.0
     assert mag.filter(group=1)["mag"].min() == 11.0
     assert last_group(np.array([3.0, 6.9, 7.0, 7.5, 20.0, np.nan]), ranges).tolist() == [0, 0, 1, 1, 1, 1]
+
+
+def test_tiles_that_plan_together_exchange_targets() -> None:
+    """Two plates half a radius apart, a visit each: together they lose no more than one after the other."""
+    rules = _rules()
+    targets = make_targets(random_places(500, 4, dec=(-2.0, 2.0), ra=(100.0, 105.0)))
+    known = FieldTargets.from_table(targets.with_columns(x_mm=pl.lit(0.0), y_mm=pl.lit(0.0)), rules.wanted_frac)
+    fields = []
+    for ra_deg in (101.5, 103.0):
+        x_mm, y_mm = sky_to_plate(targets["ra_deg"].to_numpy(), targets["dec_deg"].to_numpy(), (ra_deg, 0.0), 67.2).T
+        fields.append(make_field(replace(known, x_mm=x_mm.copy(), y_mm=y_mm.copy()), PLATE, rules.allocation))
+    rng = np.random.default_rng(1)
+    nothing, everything = np.zeros((500, 1), dtype=bool), np.ones(500, dtype=bool)
+    (first,) = plan_visits([TileVisits(fields[0], everything, nothing)], 150, rng)
+    (second,) = plan_visits([TileVisits(fields[1], ~first.any(axis=1), nothing)], 150, rng)
+    both = plan_visits([TileVisits(field, everything, nothing) for field in fields], 150, rng)
+    assert not (both[0] & both[1]).any()
+    assert both[0].sum() + both[1].sum() >= first.sum() + second.sum() > 250
+    for field, planned in zip(fields, both, strict=True):
+        assert (field.is_on_plate & field.is_reached)[planned[:, 0]].all()
+        assert pdist(field.xy_mm[planned[:, 0]]).min() >= 9.0
 
 
 def test_a_tile_makes_the_visits_that_are_planned() -> None:

@@ -9,7 +9,7 @@ from survey_sim.allocation.field import Field, VisitRequest, make_field, part_of
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels.choosing import crossings
 from survey_sim.allocation.minima import Minima
-from survey_sim.allocation.pooling import plan_visits
+from survey_sim.allocation.pooling import TileVisits, plan_visits
 from survey_sim.allocation.realisations import Realisations
 from survey_sim.allocation.rematch import match_again, match_around
 from survey_sim.allocation.resting import rest, resting_places
@@ -28,6 +28,7 @@ __all__ = [
     "Minima",
     "Realisations",
     "Session",
+    "TileVisits",
     "VisitAllocation",
     "VisitRequest",
     "completeness_bound",

@@ -55,6 +55,11 @@ class Field:
         """Least distance between two robots, mm."""
         return self.plate.instrument.min_separation_mm
 
+    @property
+    def is_reached(self) -> BoolArray:
+        """(n_target,) whether a live robot may serve each target."""
+        return np.asarray(np.diff(self.reach_first) > 0)
+
     def pair_target(self) -> IntArray:
         """(n_pair,) target of each entry of `reach_robot`."""
         return np.repeat(np.arange(self.targets.n_target), np.diff(self.reach_first))

@@ -146,7 +146,7 @@ class Search:
         sweep_frac = MEND_SWEEP_FRAC if is_brief else 1.0
         self.n_sweep = max(1, round(N_SWEEP * settings.effort * sweep_frac))
         self.n_exchange = round(N_EXCHANGE * sweep_frac)
-        is_served = request.is_open & (np.diff(field.reach_first) > 0)
+        is_served = request.is_open & field.is_reached
         copies = np.where(is_served & targets.is_science, request.missing, 0)
         self.item_target, self.near_first, self.near = make_items(copies, field.near_first, field.near)
         self.copies = copies
@@ -260,10 +260,14 @@ class Search:
         most = np.sort(value)[::-1][: n_visit * self.capacity].sum()
         cover(
             self.n_step, most, value, self.near_first, self.near, self.item_target,
-            field.reach_first, field.reach_robot, self.request.is_pair_open, is_shut, capacity, visit_of,
-            field.plate.n_robot, self.state,
+            field.reach_first, field.reach_robot, self.request.is_pair_open, self._place(n_visit), is_shut, capacity,
+            visit_of, field.plate.n_robot, self.state,
         )  # fmt: skip
         return visit_of
+
+    def _place(self, n_visit: int) -> IntArray:
+        """(n_visit,) where the lists of robots in reach of each visit's tile begin in those of the field."""
+        return np.zeros(n_visit, dtype=np.int64)
 
     def _match_all(self, n_visit: int, visit_of: IntArray) -> tuple[IntArray, IntArray]:
         """Robots matched to each visit from where the one before left them: slot (n_visit, n_robot), robot_of (n_item,)."""

@@ -11,10 +11,18 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from survey_sim.allocation import AllocationSettings, FieldTargets, make_field, part_of_field, plan_visits
+from survey_sim.allocation import (
+    AllocationSettings,
+    Field,
+    FieldTargets,
+    TileVisits,
+    make_field,
+    part_of_field,
+    plan_visits,
+)
 from survey_sim.geometry import sky_to_plate
 from survey_sim.instrument import Plate
-from survey_sim.survey.tile import last_group, magnitude_groups, planned_visits, stream, subset
+from survey_sim.survey.tile import last_group, magnitude_groups, places_among, planned_visits, stream, subset
 from survey_sim.survey.workers import Workers
 from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pairs, pool_visits
 
@@ -130,24 +138,23 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
     sky_deg = targets.select("ra_deg", "dec_deg").to_numpy()
     target_id = known.target_id[row]
 
-    def plan_tiles(orders: Sequence[Order]) -> list[Planned]:
-        asked = []
-        for order in orders:
-            some = np.sort(np.concatenate([row[order.row], shared.of(order.tile)]))
-            asked.append(
-                _TileOrder(
-                    tile_id=order.tile,
-                    centre_deg=centres[order.tile],
-                    targets=subset(known, some),
-                    sky_deg=sky_deg[some],
-                    n_visit=order.n_visit,
-                    kept=replace(order.kept, row=target_id[order.kept.row]),
-                )
-            )
-        tasks = [_Task(rules, pickle.dumps(some), place) for place, some in enumerate(_chunks(asked))]
+    def asked(order: Order) -> _TileOrder:
+        some = np.sort(np.concatenate([row[order.row], shared.of(order.tile)]))
+        return _TileOrder(
+            tile_id=order.tile,
+            centre_deg=centres[order.tile],
+            targets=subset(known, some),
+            sky_deg=sky_deg[some],
+            n_visit=order.n_visit,
+            kept=replace(order.kept, row=target_id[order.kept.row]),
+        )
+
+    def plan_tiles(orders: Sequence[tuple[Order, ...]]) -> list[tuple[Planned, ...]]:
+        together = [tuple(asked(order) for order in some) for some in orders]
+        tasks = [_Task(rules, pickle.dumps(some), place) for place, some in enumerate(_chunks(together))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
         plans = chain.from_iterable(pickle.loads(packed) for _, packed in done)
-        return [replace(plan, row=np.searchsorted(target_id, plan.row)) for plan in plans]
+        return [tuple(replace(plan, row=np.searchsorted(target_id, plan.row)) for plan in some) for some in plans]
 
     pool_visits(pool, plan_tiles)
     return pool
@@ -180,7 +187,7 @@ def _plan_table(survey: str, pool: Pool, target_id: IntArray) -> pl.DataFrame:
     )
 
 
-def _chunks(orders: Sequence[_TileOrder]) -> Iterator[tuple[_TileOrder, ...]]:
+def _chunks(orders: Sequence[tuple[_TileOrder, ...]]) -> Iterator[tuple[tuple[_TileOrder, ...], ...]]:
     """Orders of each task."""
     n = max(_TILES_A_TASK, -(-len(orders) // _MOST_TASKS))
     for begin in range(0, len(orders), n):
@@ -188,25 +195,41 @@ def _chunks(orders: Sequence[_TileOrder]) -> Iterator[tuple[_TileOrder, ...]]:
 
 
 def _plan_task(task: _Task) -> tuple[int, bytes]:
-    return task.place, pickle.dumps([_plan_tile(task.rules, order) for order in pickle.loads(task.orders)])
+    return task.place, pickle.dumps([_plan_together(task.rules, orders) for orders in pickle.loads(task.orders)])
 
 
-def _plan_tile(rules: PoolRules, order: _TileOrder) -> Planned:
-    """Plan the visits of one tile, group after group; rows are target ids."""
+def _plan_together(rules: PoolRules, orders: tuple[_TileOrder, ...]) -> tuple[Planned, ...]:
+    """Plan the visits of tiles that may exchange targets, group after group; rows are target ids."""
+    rng = stream(rules.seed, "pool", rules.survey, *(order.tile_id for order in orders))
+    fields = [_field(rules, order) for order in orders]
+    groups = [list(magnitude_groups(field.targets, rules.allocation.mag_ranges)) for field in fields]
+    done = np.empty(0, dtype=np.int64)
+    parts = [[Planned.empty()] for _ in orders]
+    for group in range(len(groups[0])):
+        chosen = [number for number, order in enumerate(orders) if order.n_visit[group]]
+        if not chosen:
+            continue
+        tiles = [_tile_visits(rules, fields[n], groups[n][group], orders[n], group, done) for n in chosen]
+        for number, tile, planned in zip(chosen, tiles, plan_visits(tiles, rules.capacity, rng), strict=True):
+            target, visit = np.nonzero(planned)
+            target_id = tile.field.targets.target_id[target]
+            done = np.union1d(done, target_id)
+            parts[number].append(Planned(target_id, np.full(len(target), group), visit))
+    names = ("row", "group", "visit")
+    return tuple(Planned(*(np.concatenate([getattr(part, name) for part in some]) for name in names)) for some in parts)
+
+
+def _field(rules: PoolRules, order: _TileOrder) -> Field:
     scale = rules.plate.instrument.plate_scale_arcsec_mm
     x_mm, y_mm = sky_to_plate(order.sky_deg[:, 0], order.sky_deg[:, 1], order.centre_deg, scale).T.copy()
-    field = replace(order.targets, x_mm=x_mm, y_mm=y_mm)
-    rng = stream(rules.seed, "pool", rules.survey, order.tile_id)
-    lists = make_field(field, rules.plate, rules.allocation)
-    is_done = np.zeros(field.n_target, dtype=np.bool_)
-    parts = [Planned.empty()]
-    for group, (chosen, part) in enumerate(magnitude_groups(field, rules.allocation.mag_ranges)):
-        if order.n_visit[group]:
-            n_visit = int(order.n_visit[group])
-            kept = planned_visits(part.target_id, order.kept, group, n_visit)
-            of_group = part_of_field(lists, chosen, part, rules.allocation)
-            planned = plan_visits(of_group, ~is_done[chosen], n_visit, kept, rules.capacity, rng)
-            target, visit = np.nonzero(planned)
-            is_done[chosen[target]] = True
-            parts.append(Planned(part.target_id[target], np.full(len(target), group), visit))
-    return Planned(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "group", "visit")))
+    return make_field(replace(order.targets, x_mm=x_mm, y_mm=y_mm), rules.plate, rules.allocation)
+
+
+def _tile_visits(
+    rules: PoolRules, field: Field, part: tuple[IntArray, FieldTargets], order: _TileOrder, group: int, done: IntArray
+) -> TileVisits:
+    """A group of a tile's visits, of the targets (places in its field, and they) that are not planned in a group before."""
+    chosen, targets = part
+    kept = planned_visits(targets.target_id, order.kept, group, int(order.n_visit[group]))
+    is_open = ~places_among(done, targets.target_id)[1]
+    return TileVisits(part_of_field(field, chosen, targets, rules.allocation), is_open, kept)

@@ -210,9 +210,20 @@ def planned_visits(
     if n_visit is None:
         n_visit = int(plan.visit[plan.group == group].max(initial=-1)) + 1
     is_planned = np.zeros((len(target_id), n_visit), dtype=np.bool_)
-    is_known = (plan.group == group) & (plan.visit < n_visit) & np.isin(plan.row, target_id)
-    is_planned[np.searchsorted(target_id, plan.row[is_known]), plan.visit[is_known]] = True
+    place, is_there = places_among(target_id, plan.row)
+    is_known = (plan.group == group) & (plan.visit < n_visit) & is_there
+    is_planned[place[is_known], plan.visit[is_known]] = True
     return is_planned
+
+
+def places_among(
+    target_id: npt.NDArray[np.int64], sought: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Where the ids sought (n,) stand among some in ascending order, and whether they do at all."""
+    place = np.searchsorted(target_id, sought)
+    is_there = place < len(target_id)
+    is_there[is_there] = target_id[place[is_there]] == sought[is_there]
+    return place, is_there
 
 
 def group_as_planned(

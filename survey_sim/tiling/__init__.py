@@ -5,7 +5,8 @@ see a target takes it; `members` lists the calibration targets on each plate.
 """
 
 from survey_sim.tiling.grid import COVERING_DENSITY, covering, icosahedral_grid
-from survey_sim.tiling.pool import Order, Planned, Pool, make_pool, pool_visits
+from survey_sim.tiling.pool import Order, Planned, Pool, make_pool
+from survey_sim.tiling.pooling import pool_visits
 from survey_sim.tiling.tiles import Members, TilingSettings, make_tiles, members, pairs_within, plate_pairs
 
 __all__ = [

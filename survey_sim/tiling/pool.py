@@ -1,19 +1,4 @@
-"""Pooling: how many visits each tile gets, and which of the tiles that see a target takes it.
-
-A whole survey wants a share of its targets, in as few visits as may be. A tile that stops only when it has that share itself
-ends in visits for a handful of targets: too close to others, or beyond a whole number of visits. Where tiles overlap, a
-neighbour's idle fibres serve them for nothing. So visits are pooled:
-
-1. Each tile begins with as many visits as its targets fill, rounded, and plans them.
-2. What a tile cannot place is offered to all tiles that see it; those with idle fibres plan again, more than they had.
-3. While the survey lacks targets, tiles with the most waiting get one visit more, or as many as a target wants.
-4. While it has more than it wants, the visits that bring the fewest targets are given up.
-
-Tiles that share no target plan at the same time: tiles are coloured so that no two of a colour do, and colours take turns.
-The result depends on no order within a colour, so on no number of workers.
-
-A tile's visits are split in groups (ranges of magnitude, of which one exposure serves one); without ranges there is one.
-"""
+"""What is known of a survey's tiles and targets while visits are pooled among them."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -25,14 +10,11 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-# Rounds of each of steps 3 and 4 at most. (Taking turns again saved no visit more on the anchors' regions.)
-_MAX_ROUNDS = 12
 # A target that waits in overlaps is expected to come to each tile that sees it with this chance.
 _SHARED = 0.5
-# Step 3 goes on to so much more than the completeness wanted: what overlaps then serve for nothing lets step 4 give up more.
+# The survey is said to lack targets up to so much more than the completeness wanted: what overlaps then serve for nothing
+# lets more visits be given up.
 _BEYOND_FRAC = 0.01
-# Visits are tried to be given up in this share of the tiles at a time: those whose idle fibres come nearest to a visit's.
-_TRIED_FRAC = 0.2
 
 
 @dataclass(frozen=True)
@@ -83,7 +65,8 @@ class Planned:
         return cls(none, none, none)
 
 
-PlanTiles = Callable[[Sequence[Order]], Iterable[Planned]]
+# Plans of tiles, in the order asked; tiles that are asked for together may exchange targets.
+PlanTiles = Callable[[Sequence[tuple[Order, ...]]], Iterable[tuple[Planned, ...]]]
 
 
 @dataclass
@@ -148,18 +131,30 @@ class Pool:
         may_wait = np.maximum(self.n_lost - _BEYOND_FRAC * self._n_target, 0)
         return int(np.ceil(np.maximum(self._n_waiting - may_wait, 0) * self._mean_visits).sum())
 
+    def has_enough(self) -> bool:
+        """Whether every programme has as many targets planned as it wants."""
+        return bool((self._n_waiting <= self.n_lost).all())
+
     def can_spare(self, lost: IntArray) -> bool:
         """Whether the survey can do without `lost` (n_programme,) of the targets planned.
 
         A programme that lacks targets although no visit more would help still gives up visits of less than `min_gain`.
         """
         spare = self.n_lost - self._n_waiting
-        n_fibre = lost * self._mean_visits
-        return bool((lost <= np.maximum(spare, 0))[spare >= 0].all() and n_fibre[spare < 0].sum() < self.min_gain)
+        is_spared = (lost <= np.maximum(spare, 0))[spare >= 0].all()
+        return bool(is_spared and self.fibres(np.where(spare < 0, lost, 0)) < self.min_gain)
+
+    def fibres(self, n_target: IntArray) -> float:
+        """Fibres that so many targets of each programme (n_programme,) take."""
+        return float((n_target * self._mean_visits).sum())
 
     def count(self, row: IntArray) -> IntArray:
         """(n_programme,) targets of each programme among these."""
         return np.bincount(self.programme[row], minlength=len(self.n_lost))
+
+    def one_of(self, group: int) -> IntArray:
+        """(n_group,) one visit of a group."""
+        return (np.arange(self.n_visit.shape[1]) == group).astype(np.int64)
 
     def by_colour(self, is_chosen: BoolArray) -> Iterator[list[int]]:
         """The chosen tiles, colour by colour: those of a colour share no target."""
@@ -178,18 +173,42 @@ class Pool:
         may_take = is_own | ~self.is_done[on_plate] if is_shared else is_own
         return Order(tile, on_plate[may_take], self.n_visit[tile] if n_visit is None else n_visit, self.plans[tile])
 
-    def accept(self, order: Order, planned: Planned) -> None:
-        """Make a tile's new plan its plan."""
-        own, done = self.own(order.tile), np.unique(planned.row)
-        self._n_waiting += self.count(own[self.is_done[own]])
-        self.is_done[own] = False
-        self._n_waiting -= self.count(done[~self.is_done[done]])
-        self.is_done[done] = True
-        self.home[planned.row] = order.tile
-        self.plans[order.tile] = planned
-        self.n_visit[order.tile] = order.n_visit
-        pairs = slice(self.first[order.tile], self.first[order.tile + 1])
-        self._was_offered[pairs] = ~self.is_done[self.row[pairs]]
+    def together(self, tiles: IntArray, n_visit: IntArray) -> tuple[Order, ...]:
+        """What some tiles (n,) shall plan together, in so many visits (n, n_group).
+
+        All that is at home on any of them or waits, to go where it fits; what wants several visits stays on its tile.
+        """
+        is_ours = np.zeros(self.n_tile, dtype=np.bool_)
+        is_ours[tiles] = True
+        orders = []
+        for tile, n in zip(tiles.tolist(), n_visit, strict=True):
+            on_plate = self.row[self.first[tile] : self.first[tile + 1]]
+            home = self.home[on_plate]
+            may_move = (is_ours[home] | ~self.is_done[on_plate]) & (self.wanted_visits[on_plate] == 1)
+            orders.append(Order(tile, on_plate[may_move | (home == tile)], n, self.plans[tile]))
+        return tuple(orders)
+
+    def change(self, orders: Sequence[Order], plans: Sequence[Planned]) -> IntArray:
+        """(n_programme,) targets more that are planned if these plans are accepted."""
+        change = np.zeros_like(self.n_lost)
+        for order, planned in zip(orders, plans, strict=True):
+            own = self.own(order.tile)
+            change += self.count(np.unique(planned.row)) - self.count(own[self.is_done[own]])
+        return change
+
+    def accept(self, orders: Sequence[Order], plans: Sequence[Planned]) -> None:
+        """Make new plans, of tiles that planned together, theirs."""
+        self._n_waiting -= self.change(orders, plans)
+        for order in orders:
+            self.is_done[self.own(order.tile)] = False
+        for order, planned in zip(orders, plans, strict=True):
+            self.is_done[planned.row] = True
+            self.home[planned.row] = order.tile
+            self.plans[order.tile] = planned
+            self.n_visit[order.tile] = order.n_visit
+        for order in orders:
+            pairs = slice(self.first[order.tile], self.first[order.tile + 1])
+            self._was_offered[pairs] = ~self.is_done[self.row[pairs]]
 
     def idle(self) -> IntArray:
         """(n_tile, n_group) science fibres of the planned visits without a target."""
@@ -270,104 +289,6 @@ def make_pool(
         is_done=np.zeros(len(home), dtype=np.bool_),
         plans=[Planned.empty() for _ in range(n_tile)],
     )
-
-
-def pool_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
-    """Settle visits, homes and plans of a pool (changed in place).
-
-    Parameters
-    ----------
-    plan_tiles
-        Plans of several tiles, in the order asked: the only work that takes time, and may be done in parallel. A plan
-        follows from its order alone.
-    """
-    _sweep(pool, np.ones(pool.n_tile, dtype=np.bool_), plan_tiles)
-    _grow(pool, plan_tiles)
-    _shrink(pool, plan_tiles)
-
-
-def _sweep(pool: Pool, is_chosen: BoolArray, plan_tiles: PlanTiles) -> None:
-    """Plan the chosen tiles again, colour by colour: those of a colour share no target."""
-    for tiles in pool.by_colour(is_chosen & pool.n_visit.any(axis=1)):
-        orders = [pool.order(tile) for tile in tiles]
-        for order, planned in zip(orders, plan_tiles(orders), strict=True):
-            pool.accept(order, planned)
-
-
-def _grow(pool: Pool, plan_tiles: PlanTiles) -> None:
-    """Give visits to the tiles where most targets wait, until the survey has somewhat more than it wants.
-
-    What a visit brought when it was tried last stands for what it may bring: it seldom brings more later. But where a target
-    wants several visits, one more may bring nothing and several much (two galaxies too near to each other to be observed at
-    the same time, five visits each): a tile whose next visit brings too little tries as many as a target wants.
-    """
-    most = np.full(pool.n_visit.shape, float(pool.capacity))
-    stride = np.ones(pool.n_visit.shape, dtype=np.int64)
-    longest = int(pool.wanted_visits.max(initial=1))
-    for _ in range(_MAX_ROUNDS):
-        lack = pool.lack()
-        hope = np.minimum(pool.waiting() / stride, most)
-        group, hope = hope.argmax(axis=1), hope.max(axis=1)
-        n_more = stride[np.arange(pool.n_tile), group]
-        tiles = np.argsort(-hope, kind="stable")
-        tiles = tiles[hope[tiles] >= pool.min_gain]
-        if not lack or not len(tiles):
-            return
-        is_chosen = np.zeros(pool.n_tile, dtype=np.bool_)
-        is_chosen[tiles[: np.searchsorted(np.cumsum((hope * n_more)[tiles]), lack) + 1]] = True
-        for now in pool.by_colour(is_chosen):
-            orders = [pool.order(t, n_visit=pool.n_visit[t] + n_more[t] * _one(pool, group[t])) for t in now]
-            for order, planned in zip(orders, plan_tiles(orders), strict=True):
-                slot = order.tile, group[order.tile]
-                gain = (len(planned.row) - len(pool.plans[order.tile].row)) / stride[slot]
-                if gain >= pool.min_gain:
-                    most[slot] = gain
-                    pool.accept(order, planned)
-                elif stride[slot] < longest:
-                    stride[slot] = longest
-                else:
-                    most[slot] = gain
-        _sweep(pool, pool.is_offered_more(), plan_tiles)
-
-
-def _shrink(pool: Pool, plan_tiles: PlanTiles) -> None:
-    """Give up the visits that bring the fewest targets, as far as the survey can spare them.
-
-    What was tried before and nothing has changed since is not planned again: half of all trials on a dense survey.
-    """
-    least = np.zeros(pool.n_visit.shape)
-    tried: dict[int, tuple[Order, Planned]] = {}
-    for _ in range(_MAX_ROUNDS):
-        loss = np.maximum(pool.capacity - pool.idle(), least).astype(np.float64)
-        loss[pool.n_visit == 0] = np.inf
-        group, loss = loss.argmin(axis=1), loss.min(axis=1)
-        tiles = np.argsort(loss, kind="stable")[: max(4, round(_TRIED_FRAC * pool.n_tile))]
-        tiles = tiles[np.isfinite(loss[tiles])]
-        orders = [pool.order(int(t), is_shared=False, n_visit=pool.n_visit[t] - _one(pool, group[t])) for t in tiles]
-        new = [order for order in orders if order.tile not in tried or not order.is_same(tried[order.tile][0])]
-        tried |= {order.tile: (order, planned) for order, planned in zip(new, plan_tiles(new), strict=True)}
-        trials = []
-        for order, planned in (tried[order.tile] for order in orders):
-            own = pool.own(order.tile)
-            lost = own[pool.is_done[own] & ~np.isin(own, planned.row)]
-            least[order.tile, group[order.tile]] = len(lost)
-            trials.append((len(lost), order.tile, order, planned, pool.count(lost)))
-        trials.sort(key=lambda trial: trial[:2])
-        is_shut = np.zeros(pool.n_tile, dtype=np.bool_)
-        n_accepted = 0
-        for n_lost, tile, order, planned, lost in trials:
-            if not is_shut[tile] and n_lost <= 2 * trials[0][0] + pool.min_gain and pool.can_spare(lost):
-                pool.accept(order, planned)
-                is_shut[pool.near[tile]] = True
-                n_accepted += 1
-        if not n_accepted:
-            return
-        least[is_shut] = 0.0
-        _sweep(pool, pool.is_offered_more(), plan_tiles)
-
-
-def _one(pool: Pool, group: int) -> IntArray:
-    return (np.arange(pool.n_visit.shape[1]) == group).astype(np.int64)
 
 
 def _colours(near: list[IntArray]) -> IntArray:

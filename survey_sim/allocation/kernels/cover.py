@@ -57,11 +57,11 @@ def make_items(copies, near_first, near):
 class Cover(NamedTuple):
     """What a search for most value reads, and where it stands; n items, m visits, q robots.
 
-    value, first, near, target, reach_first, reach_robot, is_pair_open: as in `cover`; weight: (n, m) worth of the items in
-    each visit that are near an item, `NEVER` where it is shut; visit_of, robot_of: (n,) -1 while an item waits; slot: (m, q)
-    item of each robot or -1; load: (m,) items; queue, parent, is_seen: of the augmenting paths. Best moves are looked up
-    again only where something changed: gain, n_tie: (n,) most that a waiting item brings, and visits that bring as much;
-    again: (n,) step from which that is no longer known.
+    value, first, near, target, reach_first, reach_robot, is_pair_open, place: as in `cover`; weight: (n, m) worth of the
+    items in each visit that are near an item, `NEVER` where it is shut; visit_of, robot_of: (n,) -1 while an item waits;
+    slot: (m, q) item of each robot or -1; load: (m,) items; queue, parent, is_seen: of the augmenting paths. Best moves
+    are looked up again only where something changed: gain, n_tie: (n,) most that a waiting item brings, and visits that
+    bring as much; again: (n,) step from which that is no longer known.
     """
 
     value: IntArray
@@ -71,6 +71,7 @@ class Cover(NamedTuple):
     reach_first: IntArray
     reach_robot: npt.NDArray[np.int32]
     is_pair_open: BoolArray
+    place: IntArray
     weight: IntArray
     visit_of: IntArray
     robot_of: IntArray
@@ -134,7 +135,8 @@ def _insert(s, i, v, least, random):
     while at < n_queue and end < 0:
         x = s.queue[at]
         at += 1
-        begin, n = s.reach_first[s.target[x]], s.reach_first[s.target[x] + 1] - s.reach_first[s.target[x]]
+        at_first = s.place[v] + s.target[x]
+        begin, n = s.reach_first[at_first], s.reach_first[at_first + 1] - s.reach_first[at_first]
         shift = random % n if n else 0
         for k in range(shift, shift + n):
             p = begin + (k if k < n else k - n)
@@ -334,9 +336,19 @@ def _make_move(s, c, i, v, step, capacity, n_waiting, state):
     return gain, n_waiting
 
 
+@inner_kernel
+def _is_reached(s, i):
+    """Whether any robot of any tile reaches an item."""
+    for v in range(len(s.place)):
+        t = s.place[v] + s.target[i]
+        if s.reach_first[t + 1] > s.reach_first[t]:
+            return True
+    return False
+
+
 @kernel
 def cover(
-    n_step, goal, value, first, near, target, reach_first, reach_robot, is_pair_open, is_shut,
+    n_step, goal, value, first, near, target, reach_first, reach_robot, is_pair_open, place, is_shut,
     capacity, visit_of, n_robot, state,
 ):  # fmt: skip
     """Most value of items in all visits together, by tabu search from the assignment given.
@@ -350,7 +362,9 @@ def cover(
     value, first, near, target
         (n_item,) whole-number worth; lists of near items; target of each item.
     reach_first, reach_robot, is_pair_open
-        Robots that reach each target; (n_pair,) pairs that may be used.
+        Robots that reach each target, of one tile or of one after another; (n_pair,) pairs that may be used.
+    place
+        (n_visit,) where the lists of a visit's tile begin in `reach_first`: target t has the list place[v] + t.
     is_shut
         (n_target, n_visit) targets that a visit cannot take.
     capacity
@@ -368,7 +382,7 @@ def cover(
     wish = visit_of.copy()
     visit_of[:] = -1
     s = Cover(
-        value, first, near, target, reach_first, reach_robot, is_pair_open,
+        value, first, near, target, reach_first, reach_robot, is_pair_open, place,
         np.zeros((n_item, n_visit), np.int64), visit_of, np.full(n_item, -1, np.int64),
         np.full((n_visit, n_robot), -1, np.int64), np.zeros(n_visit, np.int64),
         np.empty(n_robot + 1, np.int64), np.empty(n_robot, np.int64), np.empty(n_robot, np.bool_),
@@ -385,7 +399,7 @@ def cover(
     total = _fill_up(s, wish, capacity, state)
     n_waiting = 0
     for i in range(n_item):
-        if visit_of[i] < 0 and value[i] > 0 and reach_first[target[i] + 1] > reach_first[target[i]]:
+        if visit_of[i] < 0 and value[i] > 0 and _is_reached(s, i):
             c.waiting[n_waiting] = i
             n_waiting += 1
     for v in range(n_visit):
