@@ -28,6 +28,8 @@ NONE, FILLS, TAKES = 0, 1, 2
 OBSERVED, INTERRUPTED, NOT_STARTED = 0, 1, 2
 # Worth is counted in whole parts of a target, so that sums are exact: thirds, fourths, ... of it up to sixteenths.
 WHOLE_TARGET = 720_720
+# The least airmass over the airmass may exceed 1 by rounding.
+ROUNDING = 1e-9
 # The Moon's way between the ends of a minute, by which its distance limit is widened: 0.02 deg.
 MOON_MARGIN_RAD = 3.5e-4
 
@@ -153,14 +155,23 @@ N_LOG = 8
 # Pointings of one night: each takes at least the shortest exposure, or is cut short by a cloudy minute.
 MAX_CUT_SHORT = 1_440
 
+# For small kernels that make no array: without the counts of references to arrays, which take longer than they do.
+inner = njit(cache=True, _nrt=False)
 
-@njit(cache=True)
+
+@inner
 def wrap(angle):
     """Angle in [-pi, pi), rad."""
-    return (angle + np.pi) % TWO_PI - np.pi
+    turned = angle + np.pi
+    # The remainder, exact in any case; a difference of two angles seldom needs the slow one.
+    if TWO_PI <= turned < 2.0 * TWO_PI:
+        turned -= TWO_PI
+    elif not 0.0 <= turned < TWO_PI:
+        turned %= TWO_PI
+    return turned - np.pi
 
 
-@njit(cache=True)
+@inner
 def uniform(key, target_id, attempt):
     """Number in [0, 1) that depends on its arguments alone (splitmix64: Steele et al. 2014, DOI 10.1145/2714064.2660195)."""
     z = key + np.uint64(target_id) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(attempt) * np.uint64(0xD1B54A32D192ED03)
@@ -172,7 +183,7 @@ def uniform(key, target_id, attempt):
     return np.float64(z >> np.uint64(11)) * 2.0**-53
 
 
-@njit(cache=True)
+@inner
 def configuration_time(visits, visit, previous, constant_s):
     """Time that the robots usually need for a visit after the previous pointing's visit (-1: parked), s.
 
@@ -190,7 +201,7 @@ def configuration_time(visits, visit, previous, constant_s):
     return max(visits.park_to_target_s[previous], visits.park_to_target_s[visit])
 
 
-@njit(cache=True)
+@inner
 def share(n_wanted):
     """Parts of a target that one visit is worth to one that still wants so many: the fewer, the nearer it is to complete."""
     return WHOLE_TARGET // n_wanted if n_wanted > 0 else 0
@@ -217,7 +228,7 @@ def update_weights(rules, state, weight):
     return has_changed
 
 
-@njit(cache=True)
+@inner
 def visit_worth(state, visit, weight):
     """Weighted parts of targets that a visit would gain."""
     worth = 0.0
@@ -226,7 +237,7 @@ def visit_worth(state, visit, weight):
     return worth
 
 
-@njit(cache=True)
+@inner
 def _is_worth_repeating(visits, state, visit, repeat_min_frac):
     """Whether enough of what a visit holds still wants it."""
     gain = 0
@@ -236,7 +247,7 @@ def _is_worth_repeating(visits, state, visit, repeat_min_frac):
     return gain >= repeat_min_frac * n_held * WHOLE_TARGET
 
 
-@njit(cache=True)
+@inner
 def next_candidate(fields, visits, state, tile, weight, repeat_min_frac):
     """Visit that a tile offers; -1 if none.
 
@@ -307,7 +318,7 @@ def _ends_of_runs(level, least, out):
             out[survey, minute] = end
 
 
-@njit(cache=True)
+@inner
 def _first_cloud(is_cloudy, start_s, end_s):
     """When cloud first comes within a span, s; the span's end if it does not."""
     for minute in range(int(start_s / MINUTE_S), min(len(is_cloudy), int(np.ceil(end_s / MINUTE_S)))):
@@ -331,7 +342,7 @@ def _offer(fields, visits, rules, state, course):
     return active[:n_active]
 
 
-@njit(cache=True)
+@inner
 def _telescope(fields, visits, sidereal, latitude, previous):
     """Hour angle and declination at which the telescope stands after the pointing at a visit (-1: the zenith), rad."""
     if previous < 0:
@@ -340,26 +351,26 @@ def _telescope(fields, visits, sidereal, latitude, previous):
     return wrap(sidereal - fields.ra_rad[tile]), fields.dec_rad[tile]
 
 
-@njit(cache=True)
+@inner
 def _way(ha, dec, from_ha, from_dec):
     """How far the telescope slews along the axis of the longer way, rad."""
     return max(abs(ha - from_ha), abs(dec - from_dec))
 
 
-@njit(cache=True)
+@inner
 def _stays_up(ha, window, to_start, to_end):
     """Whether a field is within its window from start to end, so many s from now, when its hour angle is `ha`, rad."""
     return ha + SIDEREAL_RAD_S * to_start >= -window and ha + SIDEREAL_RAD_S * to_end <= window
 
 
-@njit(cache=True)
+@inner
 def _level(until, survey, start, end):
     """Right of a survey to the time from start to end, s, which ends within the night."""
     minute = int(start / MINUTE_S)
     return TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else NONE
 
 
-@njit(cache=True)
+@inner
 def _is_moonlit(direction, moon, start, end, cos_max):
     """Whether a direction is nearer to the Moon than allowed at start or end, s; never to one that is down (NaN)."""
     for minute in (int(start / MINUTE_S), int(np.ceil(end / MINUTE_S))):
@@ -395,9 +406,12 @@ def _choose(night, fields, visits, rules, state, course, active):
         level = _level(course.until, survey, start, end)
         if level == NONE or level < best_level:
             continue
+        worth = visit_worth(state, visit, course.weight) * rules.survey_weight[survey] * fields.pressure[tile]
+        # Even at its least airmass it would not be the best.
+        if level == best_level and worth * (1.0 + ROUNDING) / (end - now) <= best_score:
+            continue
         cos_ha = np.cos(ha + SIDEREAL_RAD_S * (0.5 * (start + end) - now))
         sin_alt = sin_lat * np.sin(fields.dec_rad[tile]) + cos_lat * np.cos(fields.dec_rad[tile]) * cos_ha
-        worth = visit_worth(state, visit, course.weight) * rules.survey_weight[survey] * fields.pressure[tile]
         score = worth * (fields.min_airmass[tile] * sin_alt) ** rules.airmass_power / (end - now)
         if score <= 0.0 or (level == best_level and score <= best_score):
             continue

@@ -149,6 +149,7 @@ class PlateRobots:
     n_ahead: int = N_AHEAD
     nights: list[list[str]] = field(default_factory=list)
     _digests: dict[int, bytes] = field(default_factory=dict)
+    _keys: dict[tuple[str, int], str] = field(default_factory=dict)
 
     @property
     def parked(self) -> State:
@@ -182,9 +183,11 @@ class PlateRobots:
 
     def key(self, before: str, visit: int) -> str:
         """Name of the step to a visit after another step (or `fixed`, from park)."""
-        if visit not in self._digests:
-            self._digests[visit] = self.configurations.goal(visit).digest()
-        return sha256(before.encode() + self._digests[visit]).hexdigest()[:32]
+        if (before, visit) not in self._keys:
+            if visit not in self._digests:
+                self._digests[visit] = self.configurations.goal(visit).digest()
+            self._keys[before, visit] = sha256(before.encode() + self._digests[visit]).hexdigest()[:32]
+        return self._keys[before, visit]
 
     def state_after(self, key: str) -> State:
         """Where the robots stand after a known step."""
