@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.allocation.kernels.lists import near_among, near_any, near_lists, nearest_squared, reach_lists
+from survey_sim.allocation.kernels.lists import near_among, near_any, near_lists, nearest_squared, reach_lists, sum_near
 from survey_sim.allocation.minima import Minima, sectors
 from survey_sim.allocation.settings import AllocationSettings
 from survey_sim.allocation.targets import GUIDE, PRIORITY_RANGE, SKY, FieldTargets, FloatArray, IntArray
@@ -72,8 +72,7 @@ class Field:
 
     def sum_near(self, worth: FloatArray) -> FloatArray:
         """(n_target,) sum of `worth` (n_target,) over the targets near each target."""
-        total = np.add.reduceat(np.append(worth[self.near], 0.0), self.near_first[:-1])
-        return np.where(np.diff(self.near_first) > 0, total, 0.0)
+        return sum_near(worth, self.near_first, self.near)
 
     def shortfall(self, held: IntArray) -> dict[str, int]:
         """By how much (n_robot,) held targets, -1 for none, fall short of the visit's minima."""

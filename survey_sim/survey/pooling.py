@@ -29,8 +29,8 @@ from survey_sim.tiling import Order, Planned, Pool, make_pool, members, plate_pa
 IntArray = npt.NDArray[np.int64]
 
 # Tiles of a colour are planned in so many tasks at most, each of so many tiles at least: a task costs some milliseconds.
-_MOST_TASKS = 16
-_TILES_A_TASK = 4
+_MOST_TASKS = 8
+_TILES_A_TASK = 8
 # Columns of a plan; visits are counted in their group, a range of magnitudes.
 PLAN = {"survey": pl.String, "tile_id": pl.Int32, "group": pl.Int32, "visit": pl.Int32, "target_id": pl.Int64}
 

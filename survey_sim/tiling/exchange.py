@@ -17,7 +17,7 @@ import numpy as np
 
 from survey_sim.tiling.pool import FloatArray, IntArray, Order, Planned, PlanTiles, Pool
 
-# Targets times visits of all trials in a survey, at most: 26 tiles of 370 targets and four visits end before.
+# Visits that targets want, times visits, of all trials in a survey, at most: 26 tiles of 370 targets end before.
 _MOST_WORK = 20_000_000
 # Trials of each kind in the first round, which knows nothing yet, and in each later one.
 _FIRST, _TRIED = 75, 8
@@ -65,7 +65,7 @@ def exchange_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
         groups = _groups(pool)
         slots = [slot for slot in _promising(worth, n_tried) if slot not in known]
         orders = [(slot, _orders(pool, *slot, groups[slot])) for slot in slots]
-        n = int(np.searchsorted(np.cumsum([_work(some) for _, some in orders]), left, side="right"))
+        n = int(np.searchsorted(np.cumsum([_work(pool, some) for _, some in orders]), left, side="right"))
         for (slot, some), plans in zip(orders[:n], plan_tiles([some for _, some in orders[:n]]), strict=True):
             known[slot] = _Trial(some, tuple(plans), pool.change(some, plans))
             worth[slot] = pool.fibres(known[slot].change)
@@ -78,7 +78,7 @@ def exchange_visits(pool: Pool, plan_tiles: PlanTiles) -> None:
             changed[trial.tiles] = True
         worth[LESS, ~pool.n_visit.any(axis=1)] = -np.inf
         known = {slot: trial for slot, trial in known.items() if not changed[trial.tiles].any()}
-        left, n_tried = left - sum(_work(some) for _, some in orders[:n]), _TRIED
+        left, n_tried = left - sum(_work(pool, some) for _, some in orders[:n]), _TRIED
 
 
 def _guessed(pool: Pool) -> FloatArray:
@@ -114,9 +114,10 @@ def _orders(pool: Pool, step: int, tile: int, group: int) -> tuple[Order, ...]:
     return pool.together(tiles, pool.n_visit[tiles] + (visit if step == MORE else -visit))
 
 
-def _work(orders: tuple[Order, ...]) -> int:
-    """How much work a trial is: targets times visits."""
-    return sum(len(order.row) for order in orders) * sum(int(order.n_visit.sum()) for order in orders)
+def _work(pool: Pool, orders: tuple[Order, ...]) -> int:
+    """How much work a trial is: visits that targets want, times visits."""
+    n_wanted = sum(int(pool.wanted_visits[order.row].sum()) for order in orders)
+    return n_wanted * sum(int(order.n_visit.sum()) for order in orders)
 
 
 def _given_up(pool: Pool, known: dict[_Slot, _Trial]) -> list[_Trial]:

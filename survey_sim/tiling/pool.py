@@ -144,6 +144,11 @@ class Pool:
         is_spared = (lost <= np.maximum(spare, 0))[spare >= 0].all()
         return bool(is_spared and self.fibres(np.where(spare < 0, lost, 0)) < self.min_gain)
 
+    def most_spared(self) -> float:
+        """Fibres of targets that the survey can do without, at most; what takes more, it cannot spare."""
+        spare = self.n_lost - self._n_waiting
+        return self.fibres(spare.clip(0)) + (self.min_gain if (spare < 0).any() else 0)
+
     def fibres(self, n_target: IntArray) -> float:
         """Fibres that so many targets of each programme (n_programme,) take."""
         return float((n_target * self._mean_visits).sum())

@@ -105,7 +105,7 @@ def _shrink(pool: Pool, plan_tiles: PlanTiles) -> None:
         loss[pool.n_visit == 0] = np.inf
         group, loss = loss.argmin(axis=1), loss.min(axis=1)
         tiles = np.argsort(loss, kind="stable")[: max(4, round(_TRIED_FRAC * pool.n_tile))]
-        tiles = tiles[np.isfinite(loss[tiles])]
+        tiles = tiles[loss[tiles] <= pool.most_spared()]
         orders = [pool.order(int(t), is_shared=False, n_visit=pool.n_visit[t] - pool.one_of(group[t])) for t in tiles]
         new = [order for order in orders if order.tile not in tried or not order.is_same(tried[order.tile][0])]
         tried |= {order.tile: (order, planned) for order, planned in zip(new, _each(plan_tiles, new), strict=True)}

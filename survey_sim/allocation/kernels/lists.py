@@ -77,6 +77,16 @@ def near_any(target, first, near, n_target):
 
 
 @kernel
+def sum_near(worth, first, near):
+    """(n_target,) sum of `worth` (n_target,) over the targets near each target, by the lists."""
+    total = np.zeros(len(worth))
+    for t in range(len(worth)):
+        for k in range(first[t], first[t + 1]):
+            total[t] += worth[near[k]]
+    return total
+
+
+@kernel
 def near_among(chosen, n_target, first, near):
     """Lists of near targets among those chosen (n,), numbered in their order: (first (n + 1,), near)."""
     number = np.full(n_target, -1, np.int32)
