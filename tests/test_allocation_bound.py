@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from survey_sim.allocation import completeness_bound, ideal_completeness
+from survey_sim.allocation import AllocationSettings, completeness_bound, fast_bounds, ideal_completeness, make_field
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
 from tests.mock_targets import clustered_xy, field_targets
@@ -30,6 +30,14 @@ def test_no_allocation_beats_the_bound(seed, n_target, n_visit, has_repeats):
     assert exact <= linear + 1e-9
     assert exact <= fast + 1e-9
     assert exact <= ideal_completeness(targets, plate, n_visit)[-1] + 1e-9
+
+
+def test_fast_bounds_are_those_of_each_number_of_visits():
+    targets = field_targets(clustered_xy(600, 2), wanted_visits=np.where(np.arange(600) % 3, 1, 4))
+    plate = make_plate(load_instrument("paper"), [3, 40])
+    expected = [completeness_bound(targets, plate, n, method="fast") for n in range(1, 9)]
+    assert fast_bounds(make_field(targets, plate, AllocationSettings.load({})), 8).tolist() == expected
+    assert len(set(expected)) > 4
 
 
 def test_the_linear_bound_is_tighter_than_the_fast_one():

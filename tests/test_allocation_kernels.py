@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from survey_sim.allocation import AllocationSettings, Field, FieldTargets, make_field, part_of_field
 from survey_sim.allocation.kernels.bound import clique_parts, cliques_by_pair, most_apart, windows_within
-from survey_sim.allocation.kernels.choosing import crossings, note_lost, pick_apart, take_in_order
+from survey_sim.allocation.kernels.choosing import crossings, note_lost, pairs_by_distance, pick_apart, take_in_order
 from survey_sim.allocation.kernels.cover import cover, make_items
-from survey_sim.allocation.kernels.lists import near_lists, reach_lists
+from survey_sim.allocation.kernels.lists import near_lists, reach_lists, sum_near
 from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
@@ -158,6 +158,31 @@ def test_few_targets_have_no_neighbours(n):
 def test_a_slanting_pair_at_the_radius_is_not_near() -> None:
     first, _ = near_lists(np.array([0.0, 3.0]), np.array([0.0, 4.0]), 5.0)
     assert first.tolist() == [0, 0, 0]
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 40))
+def test_pairs_by_distance_are_the_usable_ones_in_order(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, xy = rng.integers(0, 6, (5, 2)).astype(float), rng.integers(0, 6, (n, 2)).astype(float)
+    n_reach = rng.integers(0, 4, n)
+    first = np.concatenate([[0], np.cumsum(n_reach)])
+    reach = np.concatenate([np.empty(0, np.int32), *(rng.permutation(5)[:k] for k in n_reach)]).astype(np.int32)
+    is_wanted, is_open, is_free = (rng.random(k) < 0.7 for k in (n, len(reach), 5))
+    usable = [
+        (r, t)
+        for t in range(n)
+        for r, may in zip(reach[first[t] : first[t + 1]], is_open[first[t] : first[t + 1]], strict=True)
+        if is_wanted[t] and may and is_free[r]
+    ]
+    usable.sort(key=lambda pair: ((start[pair[0]] - xy[pair[1]]) ** 2).sum())
+    robot, target = pairs_by_distance(is_wanted, is_open, is_free, first, reach, start, xy)
+    assert list(zip(robot, target, strict=True)) == usable
+
+
+def test_worth_is_summed_over_those_near() -> None:
+    first, near = np.array([0, 2, 3, 3]), np.array([1, 2, 0], dtype=np.int32)
+    assert sum_near(np.array([1.0, 2.0, 4.0]), first, near).tolist() == [6.0, 1.0, 0.0]
 
 
 def test_a_pair_taken_closes_its_target_and_all_near_it_and_its_robot() -> None:

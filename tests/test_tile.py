@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
 from survey_sim.allocation import AllocationSettings, FieldTargets
 from survey_sim.errors import InputError
@@ -14,7 +15,7 @@ from survey_sim.motion import Legs
 from survey_sim.routing import RoutingSettings
 from survey_sim.simulation import SimulationSettings, execute
 from survey_sim.survey import tile
-from survey_sim.survey.tile import TileJob, magnitude_groups, simulate_tile, stream
+from survey_sim.survey.tile import TileJob, magnitude_groups, simulate_tile, simulate_tiles, stream
 
 CENTRE = (150.0, -30.0)
 RANGES = ((5.0, 8.0), (7.0, 10.0), (9.0, 12.0))
@@ -89,6 +90,13 @@ def test_without_ranges_there_is_one_group() -> None:
 def test_ranges_that_leave_a_gap_are_refused(ranges: list) -> None:
     with pytest.raises(InputError, match="mag_ranges"):
         AllocationSettings.load({"mag_ranges": ranges})
+
+
+def test_tiles_together_have_the_rows_of_each() -> None:
+    jobs = [_job(120), replace(_job(90), tile_id=7)]
+    together, each = simulate_tiles(jobs), [simulate_tile(job) for job in jobs]
+    for table, frame in together.items():
+        assert_frame_equal(frame, pl.concat([made[table] for made in each]))
 
 
 @pytest.mark.parametrize("bound", ["fast", "linear"])

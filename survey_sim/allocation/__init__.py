@@ -4,7 +4,7 @@
 stand, and its `record` takes what the router could bring about.
 """
 
-from survey_sim.allocation.bound import completeness_bound
+from survey_sim.allocation.bound import completeness_bound, fast_bounds
 from survey_sim.allocation.field import Field, VisitRequest, make_field, part_of_field
 from survey_sim.allocation.ideal import ideal_completeness
 from survey_sim.allocation.kernels.choosing import crossings
@@ -33,6 +33,7 @@ __all__ = [
     "VisitRequest",
     "completeness_bound",
     "crossings",
+    "fast_bounds",
     "ideal_completeness",
     "make_field",
     "match_again",

@@ -1,5 +1,6 @@
 """Upper bounds of completeness: what no allocator of one tile can beat."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -59,28 +60,59 @@ def completeness_bound(
         Complete science targets on the plate / science targets on the plate.
     """
     field = field or make_field(targets, plate, AllocationSettings.load({}))
-    is_counted = targets.is_science & field.is_on_plate
-    if not is_counted.any():
+    n_fibre = max(0, plate.n_science_live - n_reserved)
+    if method == "fast":
+        return float(_fast(field, n_done, [n_visits], n_fibre)[0])
+    n_counted, n_complete, served, missing = _wanted(field, n_done)
+    if not n_counted:
         return 1.0
+    is_open = missing <= n_visits
+    return (n_complete + _linear(field, served[is_open], missing[is_open], n_visits, n_visits * n_fibre)) / n_counted
+
+
+def fast_bounds(field: Field, most_visits: int) -> FloatArray:
+    """(most_visits,) the fast `completeness_bound` of a tile after 1, 2, ... visits, of what `make_field` makes."""
+    return _fast(field, None, range(1, most_visits + 1), field.plate.n_science_live)
+
+
+def _wanted(field: Field, n_done: npt.ArrayLike | None) -> tuple[int, int, IntArray, IntArray]:
+    """Numbers of science targets on the plate, and of those complete; the others that can be served, and what each wants."""
+    targets, plate = field.targets, field.plate
+    is_counted = targets.is_science & field.is_on_plate
     done = np.zeros(targets.n_target, dtype=np.int64) if n_done is None else np.asarray(n_done)
     missing = np.where(is_counted, np.maximum(targets.wanted_visits - done, 0), 0)
-    n_complete = int((is_counted & (missing == 0)).sum())
     can_be_served = (np.diff(field.reach_first) > 0) & ~field.blocked_by(plate.park_mm[~plate.is_live])
-    open_targets = np.flatnonzero(can_be_served & (missing > 0) & (missing <= n_visits))
-    n_fibre = n_visits * max(0, plate.n_science_live - n_reserved)
-    bound = _fast if method == "fast" else _linear
-    return float((n_complete + bound(field, open_targets, missing[open_targets], n_visits, n_fibre)) / is_counted.sum())
+    served = np.flatnonzero(can_be_served & (missing > 0))
+    return int(is_counted.sum()), int((is_counted & (missing == 0)).sum()), served, missing[served]
 
 
-def _fast(field: Field, chosen: IntArray, missing: IntArray, n_visits: int, n_fibre: int) -> int:
-    """Complete targets at most: by fibres in all, and by a partition into cliques of n_visits fibres each."""
+def _fast(field: Field, n_done: npt.ArrayLike | None, n_visits: Sequence[int], n_fibre: int) -> FloatArray:
+    """Completeness at most after each of these numbers of visits, ascending, of so many fibres each.
+
+    By fibres in all, and by a partition into cliques, each of which has a fibre a visit.
+    """
+    n_counted, n_complete, served, missing = _wanted(field, n_done)
+    if not n_counted:
+        return np.ones(len(n_visits))
+    bound, n_open = np.full(len(n_visits), n_complete), 0
+    for k, n in enumerate(n_visits):
+        is_open = missing <= n
+        if is_open.sum() > n_open:
+            n_open = is_open.sum()
+            within, fibres = _used_fibres(field, served[is_open], missing[is_open])
+        if n_open:
+            bound[k] += min(np.searchsorted(within, n, side="right"), np.searchsorted(fibres, n * n_fibre, side="right"))
+    return bound / n_counted
+
+
+def _used_fibres(field: Field, chosen: IntArray, missing: IntArray) -> tuple[IntArray, IntArray]:
+    """Fibres used up when each target is complete, those that want few first, ascending: of its clique's, and of all."""
     part = clique_parts(*_neighbours(field, chosen))
     order = np.lexsort((missing, part))
     before = np.cumsum(missing[order])
     starts = np.searchsorted(part[order], np.arange(part.max(initial=-1) + 1))
     within = before - np.concatenate([[0], before])[starts][part[order]]
-    by_clique = int((within <= n_visits).sum())
-    return min(by_clique, int(np.searchsorted(np.cumsum(np.sort(missing)), n_fibre, side="right")))
+    return np.sort(within), np.cumsum(np.sort(missing))
 
 
 def _linear(field: Field, chosen: IntArray, missing: IntArray, n_visits: int, n_fibre: int) -> int:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray, Field, VisitRequest
-from survey_sim.allocation.kernels.choosing import pick_apart, take_in_order
+from survey_sim.allocation.kernels.choosing import pairs_by_distance, pick_apart, take_in_order
 from survey_sim.allocation.kernels.lists import nearest_squared
 from survey_sim.allocation.kernels.matching import match_open
 from survey_sim.allocation.kernels.untangle import untangle
@@ -95,34 +95,35 @@ def fill_calibration(field: Field, request: VisitRequest, held: IntArray) -> Int
     Guides beyond those wanted are let go.
     """
     settings, minima, kind = field.settings, field.minima, field.targets.kind
-    travel = np.hypot(*(field.xy_mm[held] - request.start_mm).T)
     guides = np.flatnonzero((held >= 0) & (kind[held] == GUIDE))
-    extra = guides[np.argsort(travel[guides], kind="stable")][settings.wanted_guide :]
     held = held.copy()
-    held[extra] = -1
+    if len(guides) > settings.wanted_guide:
+        travel = np.hypot(*(field.xy_mm[held[guides]] - request.start_mm[guides]).T)
+        held[guides[np.argsort(travel, kind="stable")][settings.wanted_guide :]] = -1
     is_open = request.is_open & ~field.near_any(held[held >= 0])
-    wanted = np.flatnonzero(is_open & ((kind == STANDARD) | (kind == SKY)))
-    first, pairs = field.pairs_of(wanted)
-    is_usable = request.is_pair_open[pairs] & (held[field.reach_robot[pairs]] < 0)
-    pairs, target = pairs[is_usable], np.repeat(wanted, np.diff(first))[is_usable]
-    apart = field.xy_mm[target] - request.start_mm[field.reach_robot[pairs]]
-    order = np.argsort((apart**2).sum(axis=1), kind="stable")
-    robot, pair_target = field.reach_robot[pairs[order]], target[order]
-    n_held = (held >= 0).sum()
+    robot, pair_target = pairs_by_distance(
+        is_open & ((kind == STANDARD) | (kind == SKY)), request.is_pair_open, held < 0,
+        field.reach_first, field.reach_robot, request.start_mm, field.xy_mm,
+    )  # fmt: skip
+    pair_kind, pair_sector = kind[pair_target], field.sector[pair_target]
 
-    def take(chosen: BoolArray, limit: int) -> None:
-        take_in_order(
+    def take(chosen: BoolArray, limit: int) -> int:
+        if limit <= 0:
+            return 0
+        n_taken: int = take_in_order(
             robot[chosen], pair_target[chosen], limit, field.near_first, field.near, request.start_mm, field.xy_mm,
             False, is_open, held,
         )  # fmt: skip
+        return n_taken
 
-    take(kind[pair_target] == STANDARD, settings.wanted_standard - int((kind[held[held >= 0]] == STANDARD).sum()))
-    n_missing = settings.wanted_sky - sky_by_region(field, held).sum()
-    for region, n in enumerate(sky_by_region(field, held)):
-        take(field.sector[pair_target] == region, min(n_missing, minima.min_sky_region - n))
-        n_missing = settings.wanted_sky - sky_by_region(field, held).sum()
-    take(kind[pair_target] == SKY, n_missing)
-    if (held >= 0).sum() == n_held:
+    n_taken = take(pair_kind == STANDARD, settings.wanted_standard - int((kind[held[held >= 0]] == STANDARD).sum()))
+    in_region = sky_by_region(field, held)
+    n_sky = int(in_region.sum())
+    n_before = n_sky
+    for region, n in enumerate(in_region):
+        n_sky += take(pair_sector == region, min(settings.wanted_sky - n_sky, minima.min_sky_region - n))
+    n_sky += take(pair_kind == SKY, settings.wanted_sky - n_sky)
+    if n_taken + n_sky == n_before:
         return held
     is_held = np.zeros(field.targets.n_target, dtype=bool)
     is_held[held[held >= 0]] = True

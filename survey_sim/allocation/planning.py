@@ -29,8 +29,8 @@ N_EXCHANGE = 30
 KEPT_FRAC = 0.9
 # Length of searches that begin from an older plan, as a share of those that begin from nothing.
 MEND_EFFORT_FRAC = 0.3
-# The same of shortening: sweeps, and exchanges tried in each (few targets wait there: with twice as many, ways are 0 to 1 %
-# shorter on tiles of the five-year survey).
+# The same of shortening: sweeps with heat, in the first round alone, and exchanges tried in each (few targets wait there:
+# with twice as many, or with heat in both rounds, ways are 0 to 1 % shorter on tiles of the five-year survey).
 MEND_SWEEP_FRAC = 0.5
 # Worth of a fibre of a target that goes first, in fibres of one that does not: more than it can be in the way of.
 FIRST_WORTH = 8
@@ -50,6 +50,7 @@ class Planner:
         self._state = rng.integers(1, 2**63, size=1, dtype=np.uint64)
         self._is_planned = np.zeros((field.targets.n_target, 0), dtype=bool) if plan is None else plan
         self._is_short = False
+        self._n_planned = self._is_planned.sum(axis=1)
         self._unplanned = np.full(field.targets.n_target, -1, dtype=np.int64)
         # Who planned knows what other tiles do: its targets go before all others.
         self._goes_first = np.asarray(self._is_planned.any(axis=1))
@@ -61,6 +62,7 @@ class Planner:
         if not self._is_planned.shape[1]:
             return np.full(field.plate.n_robot, -1, dtype=np.int64)
         now, self._is_planned = self._is_planned[:, 0], self._is_planned[:, 1:]
+        self._n_planned = self._n_planned - now
         is_guide = field.targets.kind == GUIDE
         has_guides = (now & is_guide).sum() >= field.minima.min_guide
         is_planned = request.is_open & (now | (is_guide & (not has_guides)))
@@ -75,10 +77,7 @@ class Planner:
         return untangled(field, request, fill_calibration(field, request, held))
 
     def _is_kept(self, request: VisitRequest) -> bool:
-        is_science = self.field.targets.is_science
-        return np.array_equal(
-            self._is_planned[is_science].sum(axis=1) + self._unplanned[is_science], request.missing[is_science]
-        )
+        return not (self.field.targets.is_science & (self._n_planned + self._unplanned != request.missing)).any()
 
     def _plan(self, request: VisitRequest) -> None:
         """Plan the visits from this one on."""
@@ -101,6 +100,7 @@ class Planner:
         self._unplanned = request.missing - self._is_planned.sum(axis=1)
         for visit, chosen in enumerate(guides):
             self._is_planned[chosen, visit] = True
+        self._n_planned = self._is_planned.sum(axis=1)
 
 
 class PlannedGuides:
@@ -144,7 +144,8 @@ class Search:
         targets, settings = field.targets, field.settings
         self.n_step = round(N_STEP * settings.effort * (MEND_EFFORT_FRAC if is_brief else 1.0))
         sweep_frac = MEND_SWEEP_FRAC if is_brief else 1.0
-        self.n_sweep = max(1, round(N_SWEEP * settings.effort * sweep_frac))
+        n_sweep = max(1, round(N_SWEEP * settings.effort * sweep_frac))
+        self.sweeps = (n_sweep, *[0 if is_brief else n_sweep] * (N_ROUND - 1))
         self.n_exchange = round(N_EXCHANGE * sweep_frac)
         is_served = request.is_open & field.is_reached
         copies = np.where(is_served & targets.is_science, request.missing, 0)
@@ -238,10 +239,10 @@ class Search:
         is_shut = self._shut(guides)
         visit_of = visit_of.copy()
         candidates = sample_within(xy, EXCHANGE_RADIUS_MM, self.n_exchange, self.state)
-        for _ in range(N_ROUND if n_visit else 0):
+        for n_sweep in self.sweeps if n_visit else ():
             slot, robot_of = self._match_all(n_visit, visit_of)
             shorten(
-                self.n_sweep, HOT_MM**power, COLD_MM**power, power / 2.0,
+                n_sweep, HOT_MM**power, COLD_MM**power, power / 2.0,
                 settings.used_park_pull, self.request.start_mm, field.plate.park_mm, xy, field.separation_mm,
                 self.value, kin, settings.delay_worth_mm**power * rank,
                 self.near_first, self.near, self.item_target, field.reach_first, field.reach_robot,

@@ -119,9 +119,8 @@ class FieldTargets:
 
 
 def _refuse(place: str, rule: str, is_bad: pl.Series) -> None:
-    rows = is_bad.arg_true().to_list()
-    if rows:
-        raise InputError(rule, place=place, rows=rows)
+    if is_bad.any():
+        raise InputError(rule, place=place, rows=is_bad.arg_true().to_list())
 
 
 def _kinds(table: pl.DataFrame) -> npt.NDArray[np.int8]:
@@ -132,12 +131,13 @@ def _kinds(table: pl.DataFrame) -> npt.NDArray[np.int8]:
         _refuse("targets.kind", f"unknown code, not 0 to {GUIDE}", ~column.is_between(SCIENCE, GUIDE).fill_null(False))
         return column.cast(pl.Int8).to_numpy()
     names = column.cast(pl.String)
-    unknown = ~names.is_in(TARGET_KINDS).fill_null(False)
+    codes = names.replace_strict(list(TARGET_KINDS), list(range(len(TARGET_KINDS))), return_dtype=pl.Int8, default=-1)
+    unknown = codes < 0
     if unknown.any():
         word = names.filter(unknown)[0]
         hint = did_you_mean(str(word), TARGET_KINDS)
         raise InputError(f"unknown kind {word!r}", place="targets.kind", rows=unknown.arg_true().to_list(), remedy=hint)
-    return names.replace_strict(list(TARGET_KINDS), list(range(len(TARGET_KINDS))), return_dtype=pl.Int8).to_numpy()
+    return codes.to_numpy()
 
 
 def _integers(table: pl.DataFrame, name: str, default: int, is_needed: npt.NDArray[np.bool_]) -> IntArray:
@@ -145,6 +145,8 @@ def _integers(table: pl.DataFrame, name: str, default: int, is_needed: npt.NDArr
     if name not in table.columns:
         return np.full(len(table), default, np.int64)
     column = table[name]
+    if column.dtype.is_integer() and not column.null_count():
+        return column.cast(pl.Int64).to_numpy()
     values = column.cast(pl.Float64, strict=False)
     is_whole = (values.is_finite() & (values == values.floor())).fill_null(False)
     _refuse(f"targets.{name}", "not a whole number", ~is_whole & pl.Series(is_needed))

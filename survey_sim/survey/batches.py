@@ -10,11 +10,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 
-import polars as pl
-
 from survey_sim import tables
-from survey_sim.survey.rows import TILE_TABLES
-from survey_sim.survey.tile import TileJob, simulate_tile
+from survey_sim.survey.tile import TileJob, simulate_tile, simulate_tiles
 from survey_sim.survey.workers import Workers
 
 
@@ -40,8 +37,7 @@ class BatchResult:
 
 def run_batch(batch: Batch) -> BatchResult:
     """Do all tiles of a batch."""
-    done = [simulate_tile(job) for job in batch.jobs]
-    frames = {table: pl.concat([tile[table] for tile in done]) for table in TILE_TABLES}
+    frames = simulate_tiles(batch.jobs)
     parts = {table: tables.encode(frame, table) for table, frame in frames.items()}
     return BatchResult(batch.name, batch.signature, parts, len(batch.jobs), len(frames["visits"]))
 

@@ -19,6 +19,7 @@ from survey_sim.allocation import (
     Minima,
     completeness_bound,
     crossings,
+    fast_bounds,
     ideal_completeness,
     make_field,
 )
@@ -121,6 +122,16 @@ class Rows:
         return pl.Series(column.name, listed, strict=False, nan_to_null=column.is_nullable).cast(column.dtype)
 
 
+def tile_rows() -> dict[str, Rows]:
+    """No row yet of any of `TILE_TABLES`."""
+    return {table: Rows(table) for table in TILE_TABLES}
+
+
+def frames(rows: Mapping[str, Rows]) -> dict[str, pl.DataFrame]:
+    """A frame for each table."""
+    return {table: of_table.frame() for table, of_table in rows.items()}
+
+
 class TileRows:
     """Rows of all visits of one tile, with the tally that they need.
 
@@ -130,6 +141,8 @@ class TileRows:
         Least acceptable fibres of a visit; None where nobody knows: shortfalls are null.
     bound
         Method of the bound of completeness; "none" leaves it null.
+    rows
+        Where the rows go, if those of several tiles are gathered (`tile_rows`).
 
     Attributes
     ----------
@@ -147,17 +160,19 @@ class TileRows:
         plate: Plate,
         minima: Minima | None,
         bound: Literal["none", "fast", "linear"] = "none",
+        rows: Mapping[str, Rows] | None = None,
     ) -> None:
         self.survey, self.tile_id, self.field, self.plate = survey, tile_id, field, plate
         self.n_done = np.zeros(field.n_target, dtype=np.int64)
         self.n_visit = 0
         self._minima, self._bound = minima, bound
         self._ideal: FloatArray = np.empty(0)
-        self._rows = {table: Rows(table) for table in TILE_TABLES}
+        self._bounds: FloatArray = np.empty(0)
+        self._rows = tile_rows() if rows is None else rows
 
     def frames(self) -> dict[str, pl.DataFrame]:
         """A frame for each of `TILE_TABLES`."""
-        return {table: rows.frame() for table, rows in self._rows.items()}
+        return frames(self._rows)
 
     @property
     def is_complete(self) -> npt.NDArray[np.bool_]:
@@ -293,7 +308,11 @@ class TileRows:
         """Upper bound of completeness for any allocation after as many visits; NaN if it is not wanted."""
         if self._bound == "none":
             return np.nan
-        return completeness_bound(self.field, self.plate, self.n_visit, method=self._bound, field=self.lists)
+        if self._bound == "linear":
+            return completeness_bound(self.field, self.plate, self.n_visit, field=self.lists)
+        if self.n_visit > len(self._bounds):
+            self._bounds = fast_bounds(self.lists, 2 * self.n_visit + 8)
+        return float(self._bounds[self.n_visit - 1])
 
 
 def _travel(travel_mm: FloatArray) -> dict[str, float]:

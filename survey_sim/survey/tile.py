@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple, TypeVar
 from zlib import crc32
@@ -26,7 +26,7 @@ from survey_sim.motion import alone_time_s
 from survey_sim.routing import HeldUp, RoutedPath, RoutingSettings, UnroutedReason, route, route_at_bound
 from survey_sim.simulation import SimulationSettings, execute, simulate
 from survey_sim.survey.exchanges import Proposal, Tried, least_costly
-from survey_sim.survey.rows import PlayedPath, TileRows
+from survey_sim.survey.rows import PlayedPath, Rows, TileRows, frames, tile_rows
 from survey_sim.tiling import Planned
 
 # A tile that completed so much of what was planned for it makes no visit more.
@@ -107,22 +107,34 @@ class Settled(Tried):
 
 
 def simulate_tile(job: TileJob) -> dict[str, pl.DataFrame]:
-    """All visits of one tile.
+    """All visits of one tile: a frame for each of `TILE_TABLES`."""
+    return simulate_tiles([job])
+
+
+def simulate_tiles(jobs: Sequence[TileJob]) -> dict[str, pl.DataFrame]:
+    """All visits of some tiles, one tile after another.
 
     Returns
     -------
-        A frame for each of `TILE_TABLES`.
+        A frame for each of `TILE_TABLES`: made once for all tiles, since a column takes its time however short it is.
     """
+    rows = tile_rows()
+    for job in jobs:
+        _add_tile(job, rows)
+    return frames(rows)
+
+
+def _add_tile(job: TileJob, of_tables: Mapping[str, Rows]) -> None:
+    """Add all visits of one tile to the rows of the tables."""
     settings = job.allocation
     minima = Minima.of(settings, job.plate)
-    rows = TileRows(job.survey, job.tile_id, field_of(job), job.plate, minima, settings.bound)
+    rows = TileRows(job.survey, job.tile_id, field_of(job), job.plate, minima, settings.bound, of_tables)
     reason = np.zeros(rows.field.n_target, dtype=np.int8)
     state = _park(job.plate)
     for number, group in enumerate(magnitude_groups(rows.field, settings.mag_ranges)):
         # The last visits that could have held a target say why it was lost.
         state, reason[group[0]] = _visit_group(job, group, number, state, rows)
     rows.add_unallocated(reason)
-    return rows.frames()
 
 
 def magnitude_groups(

@@ -39,6 +39,37 @@ def crossings(start_mm, end_mm):
 
 
 @kernel
+def pairs_by_distance(is_wanted, is_pair_open, is_free, reach_first, reach_robot, start_xy, xy):
+    """Usable pairs of free robots and wanted targets, the nearest first: robots and targets, (n_pair,) each.
+
+    Parameters
+    ----------
+    is_wanted, is_pair_open, is_free
+        (n_target,), (n_all,) and (n_robot,) which targets, entries of `reach_robot` and robots.
+    reach_first, reach_robot
+        Lists of the robots that reach each target; of pairs as far apart, the first here comes first.
+    start_xy, xy
+        (n_robot, 2) and (n_target, 2) mm.
+    """
+    n = 0
+    for t in range(len(is_wanted)):
+        if is_wanted[t]:
+            n += reach_first[t + 1] - reach_first[t]
+    robot, target, d2 = np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n)
+    n = 0
+    for t in range(len(is_wanted)):
+        if is_wanted[t]:
+            for p in range(reach_first[t], reach_first[t + 1]):
+                r = reach_robot[p]
+                if is_free[r] and is_pair_open[p]:
+                    dx, dy = xy[t, 0] - start_xy[r, 0], xy[t, 1] - start_xy[r, 1]
+                    robot[n], target[n], d2[n] = r, t, dx * dx + dy * dy
+                    n += 1
+    order = np.argsort(d2[:n], kind="mergesort")
+    return robot[order], target[order]
+
+
+@kernel
 def take_in_order(pair_robot, pair_target, limit, first, near, start_xy, xy, shuns_crossings, is_open, held):
     """Go through pairs of robot and target in the order given, and take each one that still can be.
 
