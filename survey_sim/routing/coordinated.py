@@ -18,7 +18,7 @@ Complete in practice, not in theory. A robot that fixed robots part from its goa
 import numpy as np
 import numpy.typing as npt
 
-from survey_sim.motion import FloatArray, Legs, make_legs
+from survey_sim.motion import Legs, make_legs
 from survey_sim.routing.kernels import conflicts, coordinate, parted, planned, shapes
 from survey_sim.routing.problem import Problem, RoutingSettings, Solution, UnroutedReason
 
@@ -115,16 +115,12 @@ def physics(problem: Problem) -> planned.Physics:
 
 def new_plans(problem: Problem, is_fixed: npt.NDArray[np.bool_], plan_type: np.dtype = planned.PLAN) -> conflicts.Plans:
     """Plans in which nobody moves yet; goals of fixed robots are their starts."""
-    goal: FloatArray = np.where(is_fixed[:, None], problem.start_mm, problem.goal_mm)
-    theta = np.radians(problem.start_theta_deg)
+    plate, theta = problem.plate, np.radians(problem.start_theta_deg)
     robots = np.zeros(problem.n_robot, planned.ROBOT)
-    robots["sx"], robots["sy"] = problem.start_mm.T
-    robots["gx"], robots["gy"] = goal.T
-    robots["hx"], robots["hy"] = np.cos(theta), np.sin(theta)
-    robots["park_x"], robots["park_y"] = problem.plate.park_mm.T
-    robots["reach"] = problem.plate.patrol_radius_mm
-    robots["alone"] = np.where(is_fixed, 0.0, problem.alone_s)
-    robots["is_free"] = ~is_fixed
+    planned.set_tasks(
+        robots, problem.start_mm, problem.goal_mm, np.cos(theta), np.sin(theta), plate.park_mm, plate.patrol_radius_mm,
+        problem.alone_s, is_fixed,
+    )  # fmt: skip
     return conflicts.stand_still(robots, np.zeros(problem.n_robot, plan_type))
 
 

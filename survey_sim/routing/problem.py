@@ -13,7 +13,7 @@ from survey_sim.errors import InputError
 from survey_sim.extensions import check_name
 from survey_sim.instrument import Plate
 from survey_sim.motion import FloatArray, Legs, alone_time_s
-from survey_sim.routing.kernels.geometry import has_near
+from survey_sim.routing.kernels.geometry import has_near, is_legal
 from survey_sim.settings import Settings
 
 ROUTER_NAMES = ("simple-vector", "traffic-light", "cooperative-astar", "coordinated")
@@ -170,25 +170,34 @@ class Problem:
 def check_problem(plate: Plate, start_mm: FloatArray, start_theta_deg: FloatArray, goal_mm: FloatArray) -> Problem:
     """The problem as contiguous arrays, or InputError that names the robots and the rule."""
     n = plate.n_robot
-    start = _array(start_mm, (n, 2), "start_mm", plate)
-    theta = _array(start_theta_deg, (n,), "start_theta_deg", plate)
-    goal = _array(goal_mm, (n, 2), "goal_mm", plate)
+    start = _array(start_mm, (n, 2), "start_mm")
+    theta = _array(start_theta_deg, (n,), "start_theta_deg")
+    goal = _array(goal_mm, (n, 2), "goal_mm")
+    tolerance, least = SEPARATION_TOLERANCE_MM, plate.instrument.min_separation_mm - PLANNED_TOLERANCE_MM
+    reach, radius = plate.patrol_radius_mm + tolerance, plate.instrument.plate_radius_mm + tolerance
+    if not is_legal(start, goal, theta, plate.park_mm, reach, plate.is_live, radius, least):
+        _refuse_what_is_wrong(plate, start, theta, goal)
+    return Problem(plate, start, theta, goal)
+
+
+def _refuse_what_is_wrong(plate: Plate, start: FloatArray, theta: FloatArray, goal: FloatArray) -> None:
+    """Raise the InputError that `is_legal` found need of."""
+    for place, values in (("start_mm", start), ("start_theta_deg", theta), ("goal_mm", goal)):
+        is_bad = np.asarray(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+        if is_bad.any():
+            _refuse(plate, is_bad, place, "not a finite number")
     for place, position in (("start_mm", start), ("goal_mm", goal)):
         _check_inside(plate, position, place)
         _check_separation(plate, position, place)
     moved = ~plate.is_live & (goal != start).any(axis=1)
     if moved.any():
         _refuse(plate, moved, "goal_mm", "a dead robot's goal must be its start")
-    return Problem(plate, start, theta, goal)
 
 
-def _array(values: FloatArray, shape: tuple[int, ...], place: str, plate: Plate) -> FloatArray:
+def _array(values: FloatArray, shape: tuple[int, ...], place: str) -> FloatArray:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
         raise InputError(f"shape {array.shape}, not {shape}: one row a robot of the plate", place=place)
-    bad = np.asarray(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
-    if bad.any():
-        _refuse(plate, bad, place, "not a finite number")
     return array
 
 

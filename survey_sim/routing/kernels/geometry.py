@@ -37,6 +37,33 @@ def segment_segment2(a, b, c, d):
 
 
 @kernel
+def is_legal(start, goal, theta, park, reach, is_live, plate_radius, least):
+    """Whether robots may stand at `start` and `goal` (n, 2): on the plate, in reach, apart; the dead stay."""
+    for i in range(len(start)):
+        has_moved = start[i, 0] != goal[i, 0] or start[i, 1] != goal[i, 1]
+        if not np.isfinite(theta[i]) or (has_moved and not is_live[i]):
+            return False
+    return _may_stand(start, park, reach, is_live, plate_radius, least) and _may_stand(
+        goal, park, reach, is_live, plate_radius, least
+    )
+
+
+@inner_kernel
+def _may_stand(position, park, reach, is_live, plate_radius, least):
+    for i in range(len(position)):
+        x, y = position[i, 0], position[i, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            return False
+        if is_live[i] and (np.hypot(x, y) > plate_radius or np.hypot(x - park[i, 0], y - park[i, 1]) > reach[i]):
+            return False
+        for j in range(i):
+            ex, ey = x - position[j, 0], y - position[j, 1]
+            if ex * ex + ey * ey < least * least:
+                return False
+    return True
+
+
+@kernel
 def has_near(position, least):
     """(n,) whether another robot is nearer than `least`."""
     n = len(position)

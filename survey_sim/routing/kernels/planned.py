@@ -59,6 +59,23 @@ PLAN = plan_type(MAX_LEGS)
 LATTICE_PLAN = plan_type(MAX_LATTICE_LEGS)
 
 
+@kernel
+def set_tasks(robots, start, goal, hx, hy, park, reach, alone, is_fixed):
+    """Fill in robots (ROBOT) from arrays of their values; goals of fixed ones are their starts."""
+    for i in range(len(robots)):
+        _set_task(robots[i], start[i], start[i] if is_fixed[i] else goal[i], hx[i], hy[i], park[i])
+        robots[i].reach, robots[i].is_free = reach[i], not is_fixed[i]
+        robots[i].alone = 0.0 if is_fixed[i] else alone[i]
+
+
+@inner_kernel
+def _set_task(robot, start, goal, hx, hy, park):
+    robot.sx, robot.sy = start[0], start[1]
+    robot.gx, robot.gy = goal[0], goal[1]
+    robot.hx, robot.hy = hx, hy
+    robot.park_x, robot.park_y = park[0], park[1]
+
+
 @inner_kernel
 def leg_options(phys, hx, hy, ex, ey, is_last):
     """Seconds of one leg along (ex, ey), turned and not turned, for a robot whose own x axis lies along (hx, hy)."""
