@@ -97,7 +97,7 @@ def route_at_bound(
     settings: RoutingSettings,
     rng: np.random.Generator,
 ) -> RoutedPath | HeldUp:
-    """What `route` finds, if that is at the bound; `coordinated` gives up what is not, in a fifth of the time.
+    """What `route` finds, if that is at the bound; `coordinated` gives up what is not, in a third of the time.
 
     Other routers find what they find.
     """
