@@ -169,24 +169,24 @@ def exchanged(
     is_open = request.is_open & (kind == GUIDE)
     is_open[held[held >= 0]] = True
     is_idle_guide = plate.is_guide & (held < 0)
-    is_pair_open = request.is_pair_open & ~is_idle_guide[field.reach_robot]
-    if not may_lengthen:
-        is_pair_open &= _is_within_longest(field, request.start_mm, held) & _is_within_longest(field, plate.park_mm, held)
+    wanted = np.flatnonzero(is_open)
+    first, pairs = field.pairs_of(wanted)
+    pair_robot, pair_target = field.reach_robot[pairs], np.repeat(wanted, np.diff(first))
+    is_usable = ~is_idle_guide[pair_robot]
+    for place_mm in () if may_lengthen else (request.start_mm, plate.park_mm):
+        longest = np.hypot(*(field.xy_mm[held] - place_mm)[held >= 0].T).max(initial=0.0)
+        is_usable &= np.hypot(*(field.xy_mm[pair_target] - place_mm[pair_robot]).T) <= longest
+    is_pair_open = request.is_pair_open.copy()
+    is_pair_open[pairs] &= is_usable
     for robot, target in barred:
-        pairs = slice(field.reach_first[target], field.reach_first[target + 1])
-        is_pair_open[pairs] &= field.reach_robot[pairs] != robot
+        of_target = slice(field.reach_first[target], field.reach_first[target + 1])
+        is_pair_open[of_target] &= field.reach_robot[of_target] != robot
     found = match(field, request.start_mm, is_open, is_pair_open, np.ones(len(is_open)))
     n_kind = len(TARGET_KINDS)
     n_found, n_held = (np.bincount(kind[some[some >= 0]], minlength=n_kind) for some in (found, held))
     if (n_found < n_held).any():
         return None
     return untangled(field, replace(request, is_pair_open=is_pair_open), found)
-
-
-def _is_within_longest(field: Field, place_mm: FloatArray, held: IntArray) -> BoolArray:
-    """(n_pair,) whether a robot, at its (n_robot, 2) place, is no further from a target than any is from what it holds."""
-    longest = np.hypot(*(field.xy_mm[held] - place_mm)[held >= 0].T).max(initial=0.0)
-    return np.hypot(*(field.xy_mm[field.pair_target()] - place_mm[field.reach_robot]).T) <= longest
 
 
 def sky_by_region(field: Field, held: IntArray) -> IntArray:
