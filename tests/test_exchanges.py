@@ -125,6 +125,13 @@ def test_what_takes_longer_than_it_was_thought_to_gives_way():
     assert graph.made_whole == ["b", "a"]
 
 
+def test_a_guess_keeps_nothing_from_being_tried():
+    """b takes longer than a is thought to take, but less than it does."""
+    graph = Graph({"a": 20.0, "b": 15.0}, {}, about={"a": 8.1})
+    graph.edges = {"a": [graph.proposal("b", least_s=14.0)]}
+    assert graph.best(5) == "b"
+
+
 def test_who_does_not_arrive_costs_most_and_is_blamed_first():
     lost, slow = Tried((whole_path(8.0, lost=[2]),)), Tried((whole_path(20.0),))
     assert slow.cost < lost.cost

@@ -117,7 +117,7 @@ def least_costly(
         Routes all paths of a visit.
     n_trial
         Trials at most, `PATIENCE_IF_FAR` times as many while the best found has a path far beyond its bound. Goals that
-        were tried before, and visits that cannot be better than the best, count as trials, and are not routed.
+        were tried before, and visits that cannot be better than the best whole one, count as trials, and are not routed.
     """
     tried = [first.routed()]
     known, serial = {first.goal_mm.tobytes()}, 0
@@ -137,7 +137,9 @@ def least_costly(
         for proposal in islice(exchanges, 1):
             serial += 1
             heappush(queue, (n_unrouted, time_s * (1.0 + TRIED_FRAC), number, n_tried + 1, *visit[4:]))
-            if proposal is None or proposal.goal_mm.tobytes() in known or (0, proposal.least_s) > best.cost:
+            # What a path that was given up really takes may be far more than its guess.
+            least = min((visit.cost for visit in tried if visit.is_whole), default=(0, np.inf))
+            if proposal is None or proposal.goal_mm.tobytes() in known or (0, proposal.least_s) > least:
                 continue
             known.add(proposal.goal_mm.tobytes())
             other = proposal.routed()
