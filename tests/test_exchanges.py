@@ -125,11 +125,16 @@ def test_what_takes_longer_than_it_was_thought_to_gives_way():
     assert graph.made_whole == ["b", "a"]
 
 
-def test_a_guess_keeps_nothing_from_being_tried():
-    """b takes longer than a is thought to take, but less than it does."""
+def test_what_seemed_hopeless_is_tried_once_the_best_takes_longer_than_was_thought():
+    """b takes longer than a was thought to take, but less than it does."""
     graph = Graph({"a": 20.0, "b": 15.0}, {}, about={"a": 8.1})
     graph.edges = {"a": [graph.proposal("b", least_s=14.0)]}
-    assert graph.best(5) == "b"
+    assert graph.best(1) == "b"
+    assert graph.seen == ["a", "b"]
+    near = Graph({"a": 8.2, "b": 8.0}, {}, about={"a": 8.1})
+    near.edges = {"a": [near.proposal("b", least_s=14.0)]}
+    assert near.best(1) == "a"
+    assert near.seen == ["a"]
 
 
 def test_who_does_not_arrive_costs_most_and_is_blamed_first():

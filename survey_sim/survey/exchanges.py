@@ -117,11 +117,12 @@ def least_costly(
         Routes all paths of a visit.
     n_trial
         Trials at most, `PATIENCE_IF_FAR` times as many while the best found has a path far beyond its bound. Goals that
-        were tried before, and visits that cannot be better than the best whole one, count as trials, and are not routed.
+        were tried before, and visits that cannot be better than the best, count as trials, and are not routed.
     """
     tried = [first.routed()]
     known, serial = {first.goal_mm.tobytes()}, 0
     queue = [(*tried[0].cost, serial, 0, tried[0], others(tried[0]))]
+    aside: list[Proposal[T]] = []
     while True:
         place = min(range(len(tried)), key=lambda number: tried[number].cost)
         best = tried[place]
@@ -130,6 +131,9 @@ def least_costly(
         if serial >= n_trial or not queue:
             if not best.is_whole:
                 tried[place] = whole(best)
+                if aside:  # It may take longer than was thought: they come first now.
+                    heappush(queue, (0, 0.0, serial, 0, best, iter(aside)))
+                    aside = []
                 continue
             if not queue or not best.is_far or serial >= n_trial * PATIENCE_IF_FAR:
                 return best
@@ -137,9 +141,10 @@ def least_costly(
         for proposal in islice(exchanges, 1):
             serial += 1
             heappush(queue, (n_unrouted, time_s * (1.0 + TRIED_FRAC), number, n_tried + 1, *visit[4:]))
-            # What a path that was given up really takes may be far more than its guess.
-            least = min((visit.cost for visit in tried if visit.is_whole), default=(0, np.inf))
-            if proposal is None or proposal.goal_mm.tobytes() in known or (0, proposal.least_s) > least:
+            if proposal is None or proposal.goal_mm.tobytes() in known:
+                continue
+            if (0, proposal.least_s) > best.cost:
+                aside.append(proposal)
                 continue
             known.add(proposal.goal_mm.tobytes())
             other = proposal.routed()
