@@ -248,6 +248,20 @@ def test_cover_finds_nearly_as_much_as_trying_all_visits_of_all_items(seed, n, n
     assert may_be(visit_of)
 
 
+def test_what_is_worth_nothing_is_left_out_of_visits():
+    """Three items at one place, two of them left out: none of those stands beside the third, nor beside the other."""
+    reach_first, reach_robot = np.array([0, 3, 6, 9]), np.tile(np.arange(3, dtype=np.int32), 3)
+    near_first, near = np.array([0, 2, 4, 6]), np.array([1, 2, 0, 2, 0, 1], dtype=np.int32)
+    visit_of, state = np.full(3, -1), np.array([1], dtype=np.uint64)
+    best = cover(
+        10, 100, np.array([0, 0, 5]), near_first, near, np.arange(3), reach_first, reach_robot, np.ones(9, bool),
+        np.zeros(2, np.int64), np.zeros((3, 2), bool), np.full(2, 3), visit_of, 3, state,
+    )  # fmt: skip
+    assert best == 5
+    assert visit_of[:2].tolist() == [-1, -1]
+    assert visit_of[2] >= 0
+
+
 @pytest.mark.parametrize("dead", [[], [3, 40]])
 def test_part_of_a_field_is_what_the_part_makes(dead):
     plate = make_plate(load_instrument("taipan-150"), dead)

@@ -204,8 +204,8 @@ def _fill_up(s, wish, capacity, state):
     order = np.argsort(-(s.value * n_item + (s.first[1:] - s.first[:-1])), kind="mergesort")
     for is_new in range(2):
         for i in order:
-            if s.visit_of[i] >= 0 or (not is_new and wish[i] < 0):
-                continue
+            if s.value[i] <= 0 or s.visit_of[i] >= 0 or (not is_new and wish[i] < 0):
+                continue  # what is worth nothing would not keep its neighbours out
             tried[:] = False
             while True:
                 v = -1 if is_new else wish[i]
@@ -360,7 +360,7 @@ def cover(
     goal
         Value at which it ends at once.
     value, first, near, target
-        (n_item,) whole-number worth; lists of near items; target of each item.
+        (n_item,) whole-number worth, of items that are left out 0; lists of near items; target of each item.
     reach_first, reach_robot, is_pair_open
         Robots that reach each target, of one tile or of one after another; (n_pair,) pairs that may be used.
     place
