@@ -69,13 +69,13 @@ class _TileOrder:
     Attributes
     ----------
     targets
-        Targets that it may use, by ascending `target_id`; their places on the plate are not known yet.
+        Targets that it may use, known by their ascending numbers; their places on the plate are not known yet.
     sky_deg
         (n_target, 2) right ascension and declination.
     n_visit
         (n_group,) visits.
     kept
-        Its plan so far, targets by their ids.
+        Its plan so far, targets by these numbers.
     """
 
     tile_id: int
@@ -131,12 +131,14 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
     rules = rules.among(targets["kind"].unique().to_list())
     targets = targets.filter(pl.col("kind").is_in(["science", "guide"]))
     known = FieldTargets.from_table(targets.with_columns(x_mm=pl.lit(0.0), y_mm=pl.lit(0.0)), rules.wanted_frac)
+    # Among tiles that plan, a target is known by its place here: no search for its id.
+    known = replace(known, target_id=np.arange(known.n_target))
     row = np.flatnonzero(known.is_science)
+    number = np.cumsum(known.is_science) - 1
     pool = _begin(rules, targets[row], subset(known, row), tiles)
     shared = members(tiles, targets, rules.plate.instrument.field_radius_deg)
     centres = tiles.select("ra_deg", "dec_deg").rows()
     sky_deg = targets.select("ra_deg", "dec_deg").to_numpy()
-    target_id = known.target_id[row]
 
     def asked(order: Order) -> _TileOrder:
         some = np.sort(np.concatenate([row[order.row], shared.of(order.tile)]))
@@ -146,7 +148,7 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
             targets=subset(known, some),
             sky_deg=sky_deg[some],
             n_visit=order.n_visit,
-            kept=replace(order.kept, row=target_id[order.kept.row]),
+            kept=replace(order.kept, row=row[order.kept.row]),
         )
 
     def plan_tiles(orders: Sequence[tuple[Order, ...]]) -> list[tuple[Planned, ...]]:
@@ -154,7 +156,7 @@ def survey_pool(rules: PoolRules, targets: pl.DataFrame, tiles: pl.DataFrame, wo
         tasks = [_Task(rules, pickle.dumps(some), place) for place, some in enumerate(_chunks(together))]
         done = sorted(workers.stream(_plan_task, tasks), key=lambda result: result[0])
         plans = chain.from_iterable(pickle.loads(packed) for _, packed in done)
-        return [tuple(replace(plan, row=np.searchsorted(target_id, plan.row)) for plan in some) for some in plans]
+        return [tuple(replace(plan, row=number[plan.row]) for plan in some) for some in plans]
 
     pool_visits(pool, plan_tiles)
     return pool
@@ -199,11 +201,11 @@ def _plan_task(task: _Task) -> tuple[int, bytes]:
 
 
 def _plan_together(rules: PoolRules, orders: tuple[_TileOrder, ...]) -> tuple[Planned, ...]:
-    """Plan the visits of tiles that may exchange targets, group after group; rows are target ids."""
+    """Plan the visits of tiles that may exchange targets, group after group; rows are the targets' numbers."""
     rng = stream(rules.seed, "pool", rules.survey, *(order.tile_id for order in orders))
     fields = [_field(rules, order) for order in orders]
     groups = [list(magnitude_groups(field.targets, rules.allocation.mag_ranges)) for field in fields]
-    done = np.empty(0, dtype=np.int64)
+    done: list[IntArray] = []
     parts = [[Planned.empty()] for _ in orders]
     for group in range(len(groups[0])):
         chosen = [number for number, order in enumerate(orders) if order.n_visit[group]]
@@ -213,7 +215,7 @@ def _plan_together(rules: PoolRules, orders: tuple[_TileOrder, ...]) -> tuple[Pl
         for number, tile, planned in zip(chosen, tiles, plan_visits(tiles, rules.capacity, rng), strict=True):
             target, visit = np.nonzero(planned)
             target_id = tile.field.targets.target_id[target]
-            done = np.union1d(done, target_id)
+            done.append(target_id)
             parts[number].append(Planned(target_id, np.full(len(target), group), visit))
     names = ("row", "group", "visit")
     return tuple(Planned(*(np.concatenate([getattr(part, name) for part in some]) for name in names)) for some in parts)
@@ -226,10 +228,15 @@ def _field(rules: PoolRules, order: _TileOrder) -> Field:
 
 
 def _tile_visits(
-    rules: PoolRules, field: Field, part: tuple[IntArray, FieldTargets], order: _TileOrder, group: int, done: IntArray
+    rules: PoolRules, field: Field, part: tuple[IntArray, FieldTargets], order: _TileOrder, group: int, done: list[IntArray]
 ) -> TileVisits:
-    """A group of a tile's visits, of the targets (places in its field, and they) that are not planned in a group before."""
+    """A group of a tile's visits, of the targets (places in its field, and they) that are not planned in a group before.
+
+    Those are in `done`, of each tile and group ascending.
+    """
     chosen, targets = part
     kept = planned_visits(targets.target_id, order.kept, group, int(order.n_visit[group]))
-    is_open = ~places_among(done, targets.target_id)[1]
+    is_open = np.ones(targets.n_target, dtype=np.bool_)
+    for planned in done:
+        is_open[places_among(planned, targets.target_id)[1]] = False
     return TileVisits(part_of_field(field, chosen, targets, rules.allocation), is_open, kept)

@@ -195,11 +195,13 @@ class Pool:
 
     def change(self, orders: Sequence[Order], plans: Sequence[Planned]) -> IntArray:
         """(n_programme,) targets more that are planned if these plans are accepted."""
-        change = np.zeros_like(self.n_lost)
+        change = np.zeros(len(self.n_lost))
         for order, planned in zip(orders, plans, strict=True):
-            own = self.own(order.tile)
-            change += self.count(np.unique(planned.row)) - self.count(own[self.is_done[own]])
-        return change
+            own, row = self.own(order.tile), planned.row
+            # A target is planned as often as it wants.
+            change += np.bincount(self.programme[row], weights=1.0 / self.wanted_visits[row], minlength=len(change))
+            change -= self.count(own[self.is_done[own]])
+        return np.round(change).astype(np.int64)
 
     def accept(self, orders: Sequence[Order], plans: Sequence[Planned]) -> None:
         """Make new plans, of tiles that planned together, theirs."""
