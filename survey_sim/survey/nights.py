@@ -14,7 +14,7 @@ from survey_sim.survey.run import Run, code_digest
 from survey_sim.survey.transitions import Configurations, PlateRobots, Ways, drop_parts, route_and_pack, write_parts
 
 # Rooms whose code decides what the robots do between two pointings.
-WAY_ROOMS = ("allocation", "routing", "simulation", "survey/rows", "survey/tile", "survey/transitions")
+WAY_ROOMS = ("allocation", "routing", "simulation", "survey/exchanges", "survey/rows", "survey/tile", "survey/transitions")
 
 
 def schedule_run(run: Run) -> Schedule:

@@ -35,7 +35,7 @@ STAGE_ROOMS = {
     "targets": ("catalogue", "packed"),
     "tiles": ("tiling",),
     "pool": ("tiling", "allocation", "survey/pooling", "survey/tile"),
-    "visits": ("allocation", "routing", "simulation", "survey/rows", "survey/tile"),
+    "visits": ("allocation", "routing", "simulation", "survey/exchanges", "survey/rows", "survey/tile"),
     "schedule": ("schedule", "survey/nights", *WAY_ROOMS),
     "report": ("plotting", "player", "survey/report"),
 }
