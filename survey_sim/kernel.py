@@ -1,4 +1,4 @@
-"""`kernel`, `inner_kernel`: a compiled function, kept on disk until a file of its folder is edited.
+"""`kernel`, `inner_kernel`, `inlined_kernel`: a compiled function, kept on disk until a file of its folder is edited.
 
 `numba.njit(cache=True)` keeps what it compiles until the file of the function itself changes. A kernel that calls a kernel
 of another file has that one compiled into it, and would go on with the old one after an edit there. `kernel` looks at all
@@ -59,16 +59,35 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 def inner_kernel(function: Callable[..., Any]) -> Any:
     """
-    Compile a function into the kernels that call it often, without counts of references to arrays.
+    Compile a function that kernels call often, as `kernel` does, but without counts of references to arrays.
 
     The counts cost two atomic operations for each array of each call, tuples' arrays included: several times what a function
-    of a few lines takes. Whoever calls it holds the arrays meanwhile. A call hands over each array as seven numbers, which
-    takes as long again; so its code stands where it is called.
+    of a few lines takes. Whoever calls it holds the arrays meanwhile.
 
     Parameters
     ----------
     function : callable
         As for `kernel`; it makes no array, and calls only functions that make none (numba refuses others).
+
+    Returns
+    -------
+    numba dispatcher
+        What is compiled is kept on disk where `numba.njit(cache=True)` keeps it.
+    """
+    return _kept(njit(_nrt=False)(function), function)
+
+
+def inlined_kernel(function: Callable[..., Any]) -> Any:
+    """
+    Compile a function as `inner_kernel` does, into each kernel that calls it.
+
+    A call hands over each array as seven numbers: where a function is called for a few operations on records of many arrays,
+    that takes as long as they do. Large functions called from many places make compilation long: they stay `inner_kernel`.
+
+    Parameters
+    ----------
+    function : callable
+        As for `inner_kernel`.
 
     Returns
     -------

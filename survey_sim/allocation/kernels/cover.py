@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.allocation.kernels.random import draw, next_random
-from survey_sim.kernel import inner_kernel, kernel
+from survey_sim.kernel import inlined_kernel, kernel
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -99,7 +99,7 @@ class Course(NamedTuple):
     waiting: IntArray
 
 
-@inner_kernel
+@inlined_kernel
 def _weigh(s, i, v, worth):
     """Count the worth of item i, now in visit v or (negative) out of it, for all that are near it."""
     for k in range(s.first[i], s.first[i + 1]):
@@ -107,7 +107,7 @@ def _weigh(s, i, v, worth):
         s.again[s.near[k]] = 0
 
 
-@inner_kernel
+@inlined_kernel
 def _remove(s, i):
     """Take an item out of its visit."""
     v = s.visit_of[i]
@@ -119,7 +119,7 @@ def _remove(s, i):
     _weigh(s, i, v, -s.value[i])
 
 
-@inner_kernel
+@inlined_kernel
 def _insert(s, i, v, least, random):
     """Bring an item into a visit by an augmenting path.
 
@@ -174,7 +174,7 @@ def _insert(s, i, v, least, random):
     return gone
 
 
-@inner_kernel
+@inlined_kernel
 def _one_of_least(s, i, v, state):
     """One of the least valuable items in a visit, i excepted, at random."""
     n, least = 0, NEVER
@@ -221,7 +221,7 @@ def _fill_up(s, wish, capacity, state):
     return total
 
 
-@inner_kernel
+@inlined_kernel
 def _promise(worth, weight, least, tabu, closed, step, to_beat):
     """What an item brings in a visit, `-NEVER` if it may not go there, and the step until which that holds."""
     if weight >= NEVER:
@@ -236,7 +236,7 @@ def _promise(worth, weight, least, tabu, closed, step, to_beat):
     return (d if d > to_beat else -NEVER), step + 1
 
 
-@inner_kernel
+@inlined_kernel
 def _best_move(
     waiting, n_waiting, value, weight, least, tabu, closed, step, to_beat, gain, n_tie, again, state
 ):  # fmt: skip
@@ -277,7 +277,7 @@ def _best_move(
     return k, v
 
 
-@inner_kernel
+@inlined_kernel
 def _set_least(s, c, v, is_full, n_waiting):
     """Note the least item in a full visit, and which items that alters the promise of."""
     least = np.int64(0)
@@ -293,7 +293,7 @@ def _set_least(s, c, v, is_full, n_waiting):
                 s.again[c.waiting[k]] = 0
 
 
-@inner_kernel
+@inlined_kernel
 def _put_out(c, i, v, until, n_waiting, state):
     """Let an item that has left a visit wait, and keep it from that visit for some steps after `until`."""
     c.tabu[i, v] = until + 8 + draw(10, state)
@@ -301,7 +301,7 @@ def _put_out(c, i, v, until, n_waiting, state):
     return n_waiting + 1
 
 
-@inner_kernel
+@inlined_kernel
 def _make_move(s, c, i, v, step, capacity, n_waiting, state):
     """Bring a waiting item into a visit, and put out what is in its way.
 
@@ -336,7 +336,7 @@ def _make_move(s, c, i, v, step, capacity, n_waiting, state):
     return gain, n_waiting
 
 
-@inner_kernel
+@inlined_kernel
 def _is_reached(s, i):
     """Whether any robot of any tile reaches an item."""
     for v in range(len(s.place)):

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from survey_sim.kernel import inner_kernel, kernel
+from survey_sim.kernel import inlined_kernel, kernel
 
 # Targets and rests keep this much more than the least separation, so that rounding never brings two robots too close.
 GUARD_MM = 1e-7
@@ -136,7 +136,7 @@ def way_costs(start_xy, park_xy, patrol, is_guide, xy, is_for_guide, half_power)
     return cost
 
 
-@inner_kernel
+@inlined_kernel
 def _reached(x, y, is_guided, robot_xy, reach, is_guide, hit):
     """Note in `hit` the places of the targets, from west to east, that a robot reaches; gives their number.
 

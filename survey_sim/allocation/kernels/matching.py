@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from survey_sim.kernel import inner_kernel, kernel
+from survey_sim.kernel import inlined_kernel, kernel
 
 IDLE = -1
 FREE = -2
@@ -89,7 +89,7 @@ def _tree(n_robot, n_target):
     )  # fmt: skip
 
 
-@inner_kernel
+@inlined_kernel
 def _nearest(tree, n_seen, limit):
     """Place in `seen` of what is nearest, nearer than the limit, and not done; -1 if there is none."""
     where = -1
@@ -99,7 +99,7 @@ def _nearest(tree, n_seen, limit):
     return where
 
 
-@inner_kernel
+@inlined_kernel
 def _search_groups(robot, pairs, now, tree):
     """Shortest alternating path from a free robot to a free group, or to a robot that goes idle.
 
@@ -138,7 +138,7 @@ def _search_groups(robot, pairs, now, tree):
         r, distance = now.holder[tree.seen[where]], tree.label[tree.seen[where]]
 
 
-@inner_kernel
+@inlined_kernel
 def _assign(robot, pairs, now, tree):
     """Bring one free robot into the assignment by a shortest augmenting path."""
     best, r, new, n_passed, n_seen = _search_groups(robot, pairs, now, tree)
@@ -160,7 +160,7 @@ def _assign(robot, pairs, now, tree):
         r = tree.via[r]
 
 
-@inner_kernel
+@inlined_kernel
 def _see_robots(g, distance, best, n_seen, pairs, now, tree):
     """Label the robots that reach a group's targets; how many have been seen now."""
     t = g
@@ -178,7 +178,7 @@ def _see_robots(g, distance, best, n_seen, pairs, now, tree):
             return n_seen
 
 
-@inner_kernel
+@inlined_kernel
 def _search_robots(freed, pairs, now, tree):
     """Shortest alternating path from a group without a robot to an idle robot, or to a group that is left for nothing.
 
@@ -203,7 +203,7 @@ def _search_robots(freed, pairs, now, tree):
             best, end_robot = distance - now.v[g], r
 
 
-@inner_kernel
+@inlined_kernel
 def _release(freed, pairs, now, tree):
     """Bring the dual of a group that has lost its robot back to 0, moving robots into it where that is cheaper."""
     best, r, n_seen = _search_robots(freed, pairs, now, tree)
@@ -254,7 +254,7 @@ def _shut_out(t, is_near, pairs, now, tree):
         _assign(freed_robot[k], pairs, now, tree)
 
 
-@inner_kernel
+@inlined_kernel
 def _held_near(r, pairs, now):
     """First target held too close to that of robot r, and how many are."""
     first, n = -1, 0
@@ -269,7 +269,7 @@ def _held_near(r, pairs, now):
     return first, n
 
 
-@inner_kernel
+@inlined_kernel
 def _is_clique(a, b, pairs, now):
     """Whether two groups are one clique."""
     s = a
@@ -287,7 +287,7 @@ def _is_clique(a, b, pairs, now):
             return True
 
 
-@inner_kernel
+@inlined_kernel
 def _merge(a, b, now):
     """Make one group of two that have robots; gives the robot that is freed by it."""
     if now.v[b] < now.v[a]:
@@ -307,7 +307,7 @@ def _merge(a, b, now):
     return q
 
 
-@inner_kernel
+@inlined_kernel
 def _settle(pairs, now, tree):
     """Merge groups until no two held targets that could be of one clique are too close; the target to branch on, or -1."""
     while True:
@@ -326,7 +326,7 @@ def _settle(pairs, now, tree):
             return branch
 
 
-@inner_kernel
+@inlined_kernel
 def _total(pairs, now):
     total = 0.0
     for p in now.pair:
@@ -362,7 +362,7 @@ def _relaxed(n_robot, n_target, pairs, tree):
     return now
 
 
-@inner_kernel
+@inlined_kernel
 def _travel_cost(ax, ay, bx, by, half_power):
     """Distance^P; quick at the usual P = 4."""
     d2 = (ax - bx) ** 2 + (ay - by) ** 2

@@ -4,10 +4,10 @@
 
 import numpy as np
 
-from survey_sim.kernel import inner_kernel
+from survey_sim.kernel import inlined_kernel
 
 
-@inner_kernel
+@inlined_kernel
 def next_random(state):
     """Next of a stream of random numbers, 0 to 2^31 (xorshift64*; Vigna 2016, ACM TOMS 42, 30)."""
     x = state[0]
@@ -18,7 +18,7 @@ def next_random(state):
     return np.int64((x * np.uint64(2685821657736338717)) >> np.uint64(33))
 
 
-@inner_kernel
+@inlined_kernel
 def draw(n, state):
     """One of the numbers 0 to n - 1, n below 2^31."""
     return (next_random(state) * n) >> 31

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.allocation.kernels.random import draw, next_random
-from survey_sim.kernel import inner_kernel, kernel
+from survey_sim.kernel import inlined_kernel, kernel
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -89,19 +89,19 @@ def sample_within(xy, radius, n_wanted, state):
     return drawn
 
 
-@inner_kernel
+@inlined_kernel
 def _power(dx, dy, half_power):
     d2 = dx * dx + dy * dy
     return d2 * d2 if half_power == 2.0 else d2**half_power
 
 
-@inner_kernel
+@inlined_kernel
 def _move(i, j, item, costs):
     """Cost of the move between two items; none if there is no second."""
     return 0.0 if j < 0 else _power(item[i].x - item[j].x, item[i].y - item[j].y, costs.half_power)
 
 
-@inner_kernel
+@inlined_kernel
 def _pull(i, r, item, robot, costs):
     """Cost of item i's distance from the park of robot r; none if there is no item."""
     if i < 0 or costs.park_pull == 0.0:
@@ -109,7 +109,7 @@ def _pull(i, r, item, robot, costs):
     return costs.park_pull * _power(item[i].x - robot[r].x, item[i].y - robot[r].y, costs.half_power)
 
 
-@inner_kernel
+@inlined_kernel
 def _link(r, item, place, robot, costs):
     """Note what a robot holds before and after each visit, and what that costs."""
     last = len(item) - len(robot) + r
@@ -136,7 +136,7 @@ def _link(r, item, place, robot, costs):
     robot[r].dearest = dearest
 
 
-@inner_kernel
+@inlined_kernel
 def _moves_in(i, r, v, item, place, costs):
     """Cost of the moves to item i and from it if robot r holds it in visit v."""
     here = place[r, v]
@@ -145,13 +145,13 @@ def _moves_in(i, r, v, item, place, costs):
     return cost if here.after < 0 else cost + _power(here.after_x - x, here.after_y - y, costs.half_power)
 
 
-@inner_kernel
+@inlined_kernel
 def _cost_in(i, r, v, item, place, robot, costs):
     """All that item i costs if robot r holds it in visit v."""
     return _moves_in(i, r, v, item, place, costs) + _pull(i, r, item, robot, costs) + v * item[i].delay
 
 
-@inner_kernel
+@inlined_kernel
 def _count_near(i, v, by, item, near, n_near):
     """Count item i in visit v (-1 = none) for all items near it."""
     if v >= 0:
@@ -159,7 +159,7 @@ def _count_near(i, v, by, item, near, n_near):
             n_near[near[k], v] += by
 
 
-@inner_kernel
+@inlined_kernel
 def _may_exchange(a, b, w, s, separation, item, rules):
     """Whether item a and b, or the empty place (-1) of a visit w and robot s, may change places; w < 0: b waits."""
     v, r = item[a].visit, item[a].robot
@@ -179,7 +179,7 @@ def _may_exchange(a, b, w, s, separation, item, rules):
     return rules.n_near[b, v] <= is_close and (w < 0 or rules.n_near[a, w] <= is_close)
 
 
-@inner_kernel
+@inlined_kernel
 def _turn_gain(a, b, w, item, place, costs):
     """What is gained if a robot exchanges item a for what it holds in visit w (b, or nothing), with none between them."""
     v, r = item[a].visit, item[a].robot
@@ -192,7 +192,7 @@ def _turn_gain(a, b, w, item, place, costs):
     return gain - _move(before, second, item, costs) - _move(first, after, item, costs)
 
 
-@inner_kernel
+@inlined_kernel
 def _place_gain(a, w, s, pull, item, place, robot, costs):
     """What is gained if item a, whose distance from the park of robot s costs `pull`, changes places with what that holds in
     visit w, be it nothing; some value too low to count, as soon as it must be one.
@@ -208,7 +208,7 @@ def _place_gain(a, w, s, pull, item, place, robot, costs):
     return gain - _cost_in(b, r, v, item, place, robot, costs)
 
 
-@inner_kernel
+@inlined_kernel
 def _waiting_gain(a, b, item, place, robot, costs):
     """What is gained if an item that waits takes the place of item a, its delay set aside."""
     v, r = item[a].visit, item[a].robot
@@ -216,7 +216,7 @@ def _waiting_gain(a, b, item, place, robot, costs):
     return place[r, v].own - delay - _cost_in(b, r, v, item, place, robot, costs)
 
 
-@inner_kernel
+@inlined_kernel
 def _exchange(a, b, w, s, item, place, robot, rules, costs):
     """Make item a change places with b, or with nothing."""
     v, r = item[a].visit, item[a].robot
@@ -243,13 +243,13 @@ def _exchange(a, b, w, s, item, place, robot, rules, costs):
             rules.room[w] -= 1
 
 
-@inner_kernel
+@inlined_kernel
 def _is_taken(gain, costs, state):
     """Whether an exchange that brings so much is made: if it gains, or loses no more than a random part of the heat."""
     return gain > costs.least or (costs.heat > 0.0 and gain + costs.heat * (next_random(state) / RANDOM_RANGE) > costs.least)
 
 
-@inner_kernel
+@inlined_kernel
 def _try_place(a, w, s, pull, separation, item, place, robot, rules, costs, state):
     """Exchange item a with what robot s holds in visit w if that gains (`_place_gain`, `_is_taken`); whether it was done."""
     b = place[s, w].item
@@ -264,7 +264,7 @@ def _try_place(a, w, s, pull, separation, item, place, robot, rules, costs, stat
     return True
 
 
-@inner_kernel
+@inlined_kernel
 def _try_waiting(a, b, separation, item, place, robot, rules, costs, state):
     """The same with an item that waits."""
     if not _may_exchange(a, b, -1, -1, separation, item, rules):
@@ -276,7 +276,7 @@ def _try_waiting(a, b, separation, item, place, robot, rules, costs, state):
     return True
 
 
-@inner_kernel
+@inlined_kernel
 def _may_gain(a, s, pull, item, place, robot, costs):
     """Whether any exchange of item a with what robot s holds may be worth it: that has to bring more than its distance from
     the robot's park costs.
@@ -284,7 +284,7 @@ def _may_gain(a, s, pull, item, place, robot, costs):
     return place[item[a].robot, item[a].visit].own + robot[s].dearest - pull + costs.heat > costs.least
 
 
-@inner_kernel
+@inlined_kernel
 def _try_hot(a, candidates, separation, item, place, robot, rules, costs, state):
     """Exchange an item with its candidates, within its robot's way, and with some places in reach."""
     n_visit = place.shape[1]
@@ -309,13 +309,13 @@ def _try_hot(a, candidates, separation, item, place, robot, rules, costs, state)
         _try_tails(a, s, item, place, robot, rules, costs, state)
 
 
-@inner_kernel
+@inlined_kernel
 def _is_old(a, s, item, robot):
     """Whether all exchanges of item a with robot s have been tried since the ways of either, and its own, last changed."""
     return max(robot[item[a].robot].changed, robot[s].changed) <= item[a].tried
 
 
-@inner_kernel
+@inlined_kernel
 def _try_cold(a, candidates, separation, item, place, robot, rules, costs, state):
     """Exchange an item with candidates that wait, and with all places in reach: what was not tried before, from either side.
 
@@ -344,7 +344,7 @@ def _try_cold(a, candidates, separation, item, place, robot, rules, costs, state
     return rules.clock[0] > begun
 
 
-@inner_kernel
+@inlined_kernel
 def _tail_gain(v, r, s, item, place, robot, is_in_reach, costs):
     """What is gained if two robots exchange all that they hold from visit v on; -inf if they cannot, or it is too little."""
     p, q = place[r, v].before, place[s, v].before
@@ -362,7 +362,7 @@ def _tail_gain(v, r, s, item, place, robot, is_in_reach, costs):
     return gain
 
 
-@inner_kernel
+@inlined_kernel
 def _try_tails(a, s, item, place, robot, rules, costs, state):
     """Exchange all that two robots hold from an item's visit on, as in `_try_place`."""
     v, r = item[a].visit, item[a].robot

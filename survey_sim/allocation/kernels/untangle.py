@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from survey_sim.kernel import inner_kernel, kernel
+from survey_sim.kernel import inlined_kernel, kernel
 
 # All below was chosen on fields of the demo run; lengths are mm of way.
 # A robot with so much more time than its way takes goes round another whatever their ways are.
@@ -48,7 +48,7 @@ class Ways(NamedTuple):
     tangle: np.ndarray
 
 
-@inner_kernel
+@inlined_kernel
 def _near_part(wx, wy, vx, vy, length, radius2):
     """Part (low, high) of a way from 0 along v that is nearer to w than the radius; low > high if there is none."""
     along = wx * vx + wy * vy
@@ -105,7 +105,7 @@ def forbidden_delays(ax, ay, ux, uy, length_a, bx, by, vx, vy, length_b, radius)
     return low, high
 
 
-@inner_kernel
+@inlined_kernel
 def _pair_tangle(ways, w, i, j):
     """How far two robots are from passing each other in the time of the slowest: 0 (they can) to 1 (no time at all)."""
     begin, unit, length = ways.begin[w], ways.unit[w], ways.length[w]
@@ -126,7 +126,7 @@ def _pair_tangle(ways, w, i, j):
     return max(0.0, 1.0 - spare / DETOUR_MM)
 
 
-@inner_kernel
+@inlined_kernel
 def _note_tangles(ways, r, sign):
     """Add (1) or take away (-1) a robot's tangles with all others, at both."""
     for w in range(N_WAY):
@@ -137,7 +137,7 @@ def _note_tangles(ways, r, sign):
                 ways.tangle[q] += amount
 
 
-@inner_kernel
+@inlined_kernel
 def _remove(ways, r):
     """Take a robot's ways out."""
     _note_tangles(ways, r, -1.0)
@@ -146,7 +146,7 @@ def _remove(ways, r):
     ways.tangle[r] = 0.0
 
 
-@inner_kernel
+@inlined_kernel
 def _set_way(begin, x, y, unit, length, r):
     """Fill in the unit (2,) of a robot's way to (x, y), and its length among those of all."""
     dx, dy = x - begin[0], y - begin[1]
@@ -155,7 +155,7 @@ def _set_way(begin, x, y, unit, length, r):
     unit[1] = dy / length[r] if length[r] > 0.0 else 0.0
 
 
-@inner_kernel
+@inlined_kernel
 def _add(ways, r, x, y, has_target):
     """Bring in a robot's ways to (x, y); without a target it steps aside where others pass from where they stand."""
     for w in range(N_WAY):
@@ -188,7 +188,7 @@ def _make_ways(start_xy, park_xy, is_live, xy, radius, held):
     return ways
 
 
-@inner_kernel
+@inlined_kernel
 def _has_twice(chain, n):
     """Whether one of the first n robots of a chain comes again."""
     for k in range(n):
@@ -198,7 +198,7 @@ def _has_twice(chain, n):
     return False
 
 
-@inner_kernel
+@inlined_kernel
 def _find_chain(i, cost, own_pair, reach_first, reach_robot, is_usable, held, gain, via, chain):
     """The cheapest way for a robot to be rid of its target: another takes it, whose target a third takes, and so on.
 
@@ -248,7 +248,7 @@ def _find_chain(i, cost, own_pair, reach_first, reach_robot, is_usable, held, ga
     return (np.inf, 0) if _has_twice(chain, n) else (best, n)
 
 
-@inner_kernel
+@inlined_kernel
 def _find_spare(i, cost, own_pair, reach_first, reach_robot, is_usable, near_first, near, spare_target, held, holder):
     """The cheapest spare target in the place of a robot's own: (cost added, target), (inf, -1) if there is none."""
     best, found, is_spare = np.inf, -1, False
@@ -266,7 +266,7 @@ def _find_spare(i, cost, own_pair, reach_first, reach_robot, is_usable, near_fir
     return best, found
 
 
-@inner_kernel
+@inlined_kernel
 def _pair_of(r, t, reach_first, reach_robot):
     """The pair of a robot and a target that it reaches."""
     for p in range(reach_first[t], reach_first[t + 1]):
@@ -275,7 +275,7 @@ def _pair_of(r, t, reach_first, reach_robot):
     return -1
 
 
-@inner_kernel
+@inlined_kernel
 def _price(t, start_xy, park_xy, xy, half_power, park_pull, reach_first, reach_robot, longest, cost, is_usable):
     """Fill in what a target costs each robot that reaches it, and bar ways beyond the longest."""
     for p in range(reach_first[t], reach_first[t + 1]):
@@ -286,7 +286,7 @@ def _price(t, start_xy, park_xy, xy, half_power, park_pull, reach_first, reach_r
         is_usable[p] = is_usable[p] and d0 <= longest[0] and d1 <= longest[1]
 
 
-@inner_kernel
+@inlined_kernel
 def _most_tangled(ways, held, is_stuck):
     """The robot with a target that is most in others' way, of those not stuck; -1 if none is enough."""
     i = -1
@@ -297,7 +297,7 @@ def _most_tangled(ways, held, is_stuck):
     return i
 
 
-@inner_kernel
+@inlined_kernel
 def _follow(chain, freed, start_xy, xy, reach_first, reach_robot, travel, ways, held, holder, own_pair):
     """Give each robot of a chain the target of the one before it, the first the target freed; the travel that is added."""
     added = 0.0
