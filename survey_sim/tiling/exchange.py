@@ -1,7 +1,7 @@
 """Exchange of visits: given up, or made elsewhere instead, where tiles that plan together with their neighbours lose least.
 
 What a tile that gives up a visit loses, its neighbours can often serve if they hand on some of theirs: planned together,
-the least visit of a region is worth a third of what its tile alone would lose. So the last visits are tried in such rounds:
+most tiles of a region at 24 targets per square degree lose 7 to 20 targets by it. The last visits are tried in rounds:
 
 1. Tiles whose last visit seems worth least, and tiles to which one more seems worth most, plan that with their neighbours.
 2. Visits that the survey can do without are given up, those that lose least first; if there are none, a visit is made where
