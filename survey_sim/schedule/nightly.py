@@ -40,7 +40,7 @@ IntArray = npt.NDArray[np.int64]
 # Key of the targets' successes among the streams of a run.
 _STREAM_SUCCESS = 2
 # Times that nights are observed with estimates before they are observed one by one.
-N_GUESS = 2
+N_GUESS = 4
 # Times as many nights as the robots ask for that are scheduled ahead at most: one wrong guess costs the nights after it.
 MOST_AHEAD = 2
 

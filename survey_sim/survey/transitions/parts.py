@@ -38,26 +38,26 @@ class _Part:
 
 def write_parts(run: Run, robots: PlateRobots) -> None:
     """Write `EXPOSURE_TABLES` of the nights that the robots have been through; parts that are as they shall be stay."""
-    n = run.settings.output.nights_per_part
-    paths, first, stale, names = [tables.empty("exposure_paths")], 0, [], set()
-    for begin in range(0, len(robots.nights), n):
-        keys = [key for night in robots.nights[begin : begin + n] for key in night]
-        name = f"nights-{begin:05d}"
-        names.add(name)
-        signature = sha256(json.dumps([first, *keys]).encode()).hexdigest()
-        places = _places(robots, keys, first)
-        paths += [_numbered(robots.ways.read(file, "exposure_paths"), some) for file, some in places.items()]
-        if not _is_whole(run, name, signature):
-            stale.append((name, signature, places))
-        first += len(keys)
-    _drop(run, names)
+    begins = range(0, len(robots.nights), run.settings.output.nights_per_part)
+    names = [f"nights-{begin:05d}" for begin in begins]
+    _drop(run, set(names))
     for table in _IN_PARTS:
         run.table(table).mkdir(parents=True, exist_ok=True)
-    parts = (
-        _Part(name, signature, tuple((robots.ways.content(file), some) for file, some in places.items()))
-        for name, signature, places in stale
-    )
-    for name, signature, contents in run.workers.stream(_encode, parts):
+    paths = [tables.empty("exposure_paths")]
+
+    def stale() -> Iterator[_Part]:
+        """Parts to be made; what is found on the way goes to `paths`."""
+        first = 0
+        for begin, name in zip(begins, names, strict=True):
+            keys = [key for night in robots.nights[begin : begin + begins.step] for key in night]
+            signature = sha256(json.dumps([first, *keys]).encode()).hexdigest()
+            places = _places(robots, keys, first)
+            paths.extend(_numbered(robots.ways.read(file, "exposure_paths"), some) for file, some in places.items())
+            if not _is_whole(run, name, signature):
+                yield _Part(name, signature, tuple((robots.ways.content(file), some) for file, some in places.items()))
+            first += len(keys)
+
+    for name, signature, contents in run.workers.stream(_encode, stale()):
         _write(run, name, signature, contents)
     tables.write(pl.concat(paths), "exposure_paths", run.table("exposure_paths"))
     robots.ways.prune({key for night in robots.nights for key in night})
