@@ -81,7 +81,7 @@ def _wanted(field: Field, n_done: npt.ArrayLike | None) -> tuple[int, int, IntAr
     is_counted = targets.is_science & field.is_on_plate
     done = np.zeros(targets.n_target, dtype=np.int64) if n_done is None else np.asarray(n_done)
     missing = np.where(is_counted, np.maximum(targets.wanted_visits - done, 0), 0)
-    can_be_served = (np.diff(field.reach_first) > 0) & ~field.blocked_by(plate.park_mm[~plate.is_live])
+    can_be_served = field.is_reached & ~field.blocked_by(plate.park_mm[~plate.is_live])
     served = np.flatnonzero(can_be_served & (missing > 0))
     return int(is_counted.sum()), int((is_counted & (missing == 0)).sum()), served, missing[served]
 

@@ -70,7 +70,7 @@ def pick_calibration(field: Field, is_open: BoolArray, start_mm: FloatArray) -> 
     """
     settings, minima, kind = field.settings, field.minima, field.targets.kind
     displaced = field.sum_near(np.where(is_open & field.targets.is_science, field.value, 0.0))
-    is_served = is_open & (np.diff(field.reach_first) > 0)
+    is_served = is_open & field.is_reached
     is_picked = np.zeros(field.targets.n_target, dtype=bool)
     robot_mm = start_mm[~field.plate.is_guide & field.plate.is_live]
 

@@ -225,7 +225,7 @@ class Session:
         reason[is_crowded & (n_near == 1)] = LostReason.TOO_CLOSE_PAIR
         reason[self._is_unrouted] = LostReason.UNROUTED
         reason[field.blocked_by(plate.park_mm[~plate.is_live])] = LostReason.BLOCKED_BY_DEAD
-        reason[np.diff(field.reach_first) == 0] = LostReason.BLOCKED_BY_DEAD
+        reason[~field.is_reached] = LostReason.BLOCKED_BY_DEAD
         reason[~field.is_on_plate | ~_in_reach_of_any(field)] = LostReason.OUT_OF_REACH
         reason[~field.targets.is_science | self.is_complete] = LostReason.NONE
         return reason
@@ -319,7 +319,7 @@ def _in_reach_of_any(field: Field) -> BoolArray:
     """(n_target,) targets on the plate in the patrol disc of a robot of their kind, dead or live."""
     plate = field.plate
     is_for_guide = field.targets.kind == TARGET_KINDS.index("guide")
-    is_reached = np.diff(field.reach_first) > 0
+    is_reached = field.is_reached
     if plate.is_live.all():
         return np.asarray(is_reached)
     first, _ = reach_lists(

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from survey_sim.kernel import inner_kernel
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -155,11 +157,8 @@ N_LOG = 8
 # Pointings of one night: each takes at least the shortest exposure, or is cut short by a cloudy minute.
 MAX_CUT_SHORT = 1_440
 
-# For small kernels that make no array: without the counts of references to arrays, which take longer than they do.
-inner = njit(cache=True, _nrt=False)
 
-
-@inner
+@inner_kernel
 def wrap(angle):
     """Angle in [-pi, pi), rad."""
     turned = angle + np.pi
@@ -171,7 +170,7 @@ def wrap(angle):
     return turned - np.pi
 
 
-@inner
+@inner_kernel
 def uniform(key, target_id, attempt):
     """Number in [0, 1) that depends on its arguments alone (splitmix64: Steele et al. 2014, DOI 10.1145/2714064.2660195)."""
     z = key + np.uint64(target_id) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(attempt) * np.uint64(0xD1B54A32D192ED03)
@@ -183,7 +182,7 @@ def uniform(key, target_id, attempt):
     return np.float64(z >> np.uint64(11)) * 2.0**-53
 
 
-@inner
+@inner_kernel
 def configuration_time(visits, visit, previous, constant_s):
     """Time that the robots usually need for a visit after the previous pointing's visit (-1: parked), s.
 
@@ -201,7 +200,7 @@ def configuration_time(visits, visit, previous, constant_s):
     return max(visits.park_to_target_s[previous], visits.park_to_target_s[visit])
 
 
-@inner
+@inner_kernel
 def share(n_wanted):
     """Parts of a target that one visit is worth to one that still wants so many: the fewer, the nearer it is to complete."""
     return WHOLE_TARGET // n_wanted if n_wanted > 0 else 0
@@ -228,7 +227,7 @@ def update_weights(rules, state, weight):
     return has_changed
 
 
-@inner
+@inner_kernel
 def visit_worth(state, visit, weight):
     """Weighted parts of targets that a visit would gain."""
     worth = 0.0
@@ -237,7 +236,7 @@ def visit_worth(state, visit, weight):
     return worth
 
 
-@inner
+@inner_kernel
 def _is_worth_repeating(visits, state, visit, repeat_min_frac):
     """Whether enough of what a visit holds still wants it."""
     gain = 0
@@ -247,7 +246,7 @@ def _is_worth_repeating(visits, state, visit, repeat_min_frac):
     return gain >= repeat_min_frac * n_held * WHOLE_TARGET
 
 
-@inner
+@inner_kernel
 def next_candidate(fields, visits, state, tile, weight, repeat_min_frac):
     """Visit that a tile offers; -1 if none.
 
@@ -318,7 +317,7 @@ def _ends_of_runs(level, least, out):
             out[survey, minute] = end
 
 
-@inner
+@inner_kernel
 def _first_cloud(is_cloudy, start_s, end_s):
     """When cloud first comes within a span, s; the span's end if it does not."""
     for minute in range(int(start_s / MINUTE_S), min(len(is_cloudy), int(np.ceil(end_s / MINUTE_S)))):
@@ -342,7 +341,7 @@ def _offer(fields, visits, rules, state, course):
     return active[:n_active]
 
 
-@inner
+@inner_kernel
 def _telescope(fields, visits, sidereal, latitude, previous):
     """Hour angle and declination at which the telescope stands after the pointing at a visit (-1: the zenith), rad."""
     if previous < 0:
@@ -351,26 +350,26 @@ def _telescope(fields, visits, sidereal, latitude, previous):
     return wrap(sidereal - fields.ra_rad[tile]), fields.dec_rad[tile]
 
 
-@inner
+@inner_kernel
 def _way(ha, dec, from_ha, from_dec):
     """How far the telescope slews along the axis of the longer way, rad."""
     return max(abs(ha - from_ha), abs(dec - from_dec))
 
 
-@inner
+@inner_kernel
 def _stays_up(ha, window, to_start, to_end):
     """Whether a field is within its window from start to end, so many s from now, when its hour angle is `ha`, rad."""
     return ha + SIDEREAL_RAD_S * to_start >= -window and ha + SIDEREAL_RAD_S * to_end <= window
 
 
-@inner
+@inner_kernel
 def _level(until, survey, start, end):
     """Right of a survey to the time from start to end, s, which ends within the night."""
     minute = int(start / MINUTE_S)
     return TAKES if end <= until[1, survey, minute] else FILLS if end <= until[0, survey, minute] else NONE
 
 
-@inner
+@inner_kernel
 def _is_moonlit(direction, moon, start, end, cos_max):
     """Whether a direction is nearer to the Moon than allowed at start or end, s; never to one that is down (NaN)."""
     for minute in (int(start / MINUTE_S), int(np.ceil(end / MINUTE_S))):

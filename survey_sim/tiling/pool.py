@@ -166,14 +166,18 @@ class Pool:
         for colour in range(self.colours.max(initial=-1) + 1):
             yield np.flatnonzero(is_chosen & (self.colours == colour)).tolist()
 
+    def _pairs(self, tile: int) -> slice:
+        """Where a tile's pairs stand in `row`."""
+        return slice(self.first[tile], self.first[tile + 1])
+
     def own(self, tile: int) -> IntArray:
         """Targets at home on a tile."""
-        on_plate = self.row[self.first[tile] : self.first[tile + 1]]
+        on_plate = self.row[self._pairs(tile)]
         return on_plate[self.home[on_plate] == tile]
 
     def order(self, tile: int, *, is_shared: bool = True, n_visit: IntArray | None = None) -> Order:
         """What a tile shall plan: its own targets and, if it is shared, all that wait elsewhere."""
-        on_plate = self.row[self.first[tile] : self.first[tile + 1]]
+        on_plate = self.row[self._pairs(tile)]
         is_own = self.home[on_plate] == tile
         may_take = is_own | ~self.is_done[on_plate] if is_shared else is_own
         return Order(tile, on_plate[may_take], self.n_visit[tile] if n_visit is None else n_visit, self.plans[tile])
@@ -187,7 +191,7 @@ class Pool:
         is_ours[tiles] = True
         orders = []
         for tile, n in zip(tiles.tolist(), n_visit, strict=True):
-            on_plate = self.row[self.first[tile] : self.first[tile + 1]]
+            on_plate = self.row[self._pairs(tile)]
             home = self.home[on_plate]
             may_move = (is_ours[home] | ~self.is_done[on_plate]) & (self.wanted_visits[on_plate] == 1)
             orders.append(Order(tile, on_plate[may_move | (home == tile)], n, self.plans[tile]))
@@ -214,7 +218,7 @@ class Pool:
             self.plans[order.tile] = planned
             self.n_visit[order.tile] = order.n_visit
         for order in orders:
-            pairs = slice(self.first[order.tile], self.first[order.tile + 1])
+            pairs = self._pairs(order.tile)
             self._was_offered[pairs] = ~self.is_done[self.row[pairs]]
 
     def idle(self) -> IntArray:
