@@ -115,12 +115,23 @@ def alone_time_s(instrument: Instrument, start_mm: FloatArray, theta_deg: FloatA
     -------
         (n,) s, rotation and the precise approach included.
     """
+    return alone(instrument, start_mm, theta_deg, goal_mm)[0]
+
+
+def alone(
+    instrument: Instrument, start_mm: FloatArray, theta_deg: FloatArray, goal_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """`alone_time_s`, and the orientation that each robot ends with, (n,) deg."""
     step = goal_mm - start_mm
-    turn = np.abs(turn_onto_line(theta_deg, step[:, 0], step[:, 1]))
+    turn = turn_onto_line(theta_deg, step[:, 0], step[:, 1])
+    turn_rad = np.radians(np.abs(turn))
     straight = np.hypot(step[:, 0], step[:, 1])
-    axes = straight * (np.cos(np.radians(turn)) + np.sin(np.radians(turn)))
-    turned_s = turn / instrument.rotation_speed_deg_s + _travel_s(instrument, straight, _approach(instrument, straight))
-    return np.minimum(turned_s, _travel_s(instrument, axes, _approach(instrument, axes)))
+    axes = straight * (np.cos(turn_rad) + np.sin(turn_rad))
+    turn_s = np.abs(turn) / instrument.rotation_speed_deg_s
+    turned_s = turn_s + _travel_s(instrument, straight, _approach(instrument, straight))
+    square_s = _travel_s(instrument, axes, _approach(instrument, axes))
+    is_turned = (turned_s <= square_s) & (straight > 0.0)
+    return np.minimum(turned_s, square_s), np.where(is_turned, wrap_deg(theta_deg + turn), theta_deg)
 
 
 def leg_times_s(instrument: Instrument, legs: Legs) -> tuple[FloatArray, FloatArray]:

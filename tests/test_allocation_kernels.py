@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
 from survey_sim.allocation import AllocationSettings, Field, FieldTargets, make_field, part_of_field
 from survey_sim.allocation.kernels.bound import clique_parts, cliques_by_pair, most_apart, windows_within
 from survey_sim.allocation.kernels.choosing import crossings, note_lost, pairs_by_distance, pick_apart, take_in_order
 from survey_sim.allocation.kernels.cover import cover, make_items
 from survey_sim.allocation.kernels.lists import near_lists, reach_lists, sum_near
+from survey_sim.allocation.kernels.matching import match_all
 from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
@@ -275,3 +277,29 @@ def test_part_of_a_field_is_what_the_part_makes(dead):
     for column in fields(Field):
         value, wanted = getattr(found, column.name), getattr(made, column.name)
         assert np.array_equal(value, wanted) if isinstance(wanted, np.ndarray) else value == wanted
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_all_targets_are_held_at_the_cost_that_scipy_finds(seed):
+    """Of random robots and targets, some pairs barred; where not all can be held, as many as can."""
+    rng = np.random.default_rng(seed)
+    n_robot = int(rng.integers(1, 60))
+    n_target = int(rng.integers(0, n_robot + 1))
+    park, xy = rng.uniform(-60.0, 60.0, (n_robot, 2)), rng.uniform(-60.0, 60.0, (n_target, 2))
+    start, patrol = park + rng.uniform(-20.0, 20.0, park.shape), rng.uniform(15.0, 80.0, n_robot)
+    is_guide, is_for_guide = rng.random(n_robot) < 0.2, rng.random(n_target) < 0.2
+    barred = np.column_stack([rng.integers(0, n_robot, 5), rng.integers(0, max(1, n_target), 5)])
+    held, first, robot = match_all(start, park, patrol, is_guide, xy, is_for_guide, barred, 2.0)
+    may_hold = np.hypot(*(xy[:, None] - park).transpose(2, 0, 1)) <= patrol
+    may_hold &= is_for_guide[:, None] == is_guide
+    for r, t in barred[barred[:, 1] < n_target]:
+        may_hold[t, r] = False
+    assert listed(first, robot) == set(map(tuple, np.argwhere(may_hold).tolist()))
+    travel = np.hypot(*(xy[:, None] - start).transpose(2, 0, 1)) ** 4
+    rows, columns = linear_sum_assignment(np.where(may_hold, travel, 1e15))
+    is_real = may_hold[rows, columns]
+    taken = held[held >= 0]
+    assert len(set(taken.tolist())) == len(taken) == is_real.sum()
+    assert may_hold[taken, np.flatnonzero(held >= 0)].all()
+    total = travel[taken, np.flatnonzero(held >= 0)].sum()
+    assert total == pytest.approx(travel[rows, columns][is_real].sum(), rel=1e-9)

@@ -10,6 +10,7 @@ import pytest
 from survey_sim.allocation import match_again, rematch, resting_places
 from survey_sim.allocation.resting import has_room
 from survey_sim.instrument import load_instrument, make_plate
+from survey_sim.motion import alone
 from survey_sim.routing import RoutingSettings, route
 from survey_sim.survey.tile import State, stream
 from survey_sim.survey.transitions import Configurations, PlateRobots, Ways, chains
@@ -131,30 +132,37 @@ def make_robots(plate, configurations, folder, router="coordinated"):
     )
 
 
-def observe(robots, visits, *, is_exact=False):
-    """A night of these visits, the times that are told taken as 7 s where they are not known."""
+def observe(robots, visits, *, is_exact=False, free_s=np.inf):
+    """A night of these visits, the times that are told taken as 7 s where they are not known and cost nothing."""
     chain = robots.begin_night(is_exact=is_exact)
     times = []
     for visit in visits:
-        times.append(chain.configure(visit, 7.0).time_s)
+        times.append(chain.configure(visit, 7.0, free_s).time_s)
         chain.go(visit)
     return chain, times
+
+
+def prepare(robots, nights):
+    for _ in robots.prepare(nights):
+        pass
 
 
 NIGHTS = [(0, 1, 1, 3), (2,), (0, 1, 4)]
 
 
-def test_chains_are_those_of_a_plain_loop(plate, tmp_path):
+@pytest.mark.parametrize("free_s", [np.inf, 0.0])
+def test_chains_are_those_of_a_plain_loop(plate, tmp_path, free_s):
     configurations = random_configurations(plate, np.random.default_rng(8))
     robots = make_robots(plate, configurations, tmp_path)
-    guessed = [observe(robots, visits) for visits in NIGHTS]
-    assert [times for _, times in guessed] == [[7.0] * len(visits) for visits in NIGHTS]
-    assert not any(chain.is_exact for chain, _ in guessed)
-    robots.prepare([chain for chain, _ in guessed])
+    thought = [observe(robots, visits, free_s=free_s) for visits in NIGHTS]
+    assert all((times == [7.0] * len(times)) == (free_s > 0.0) for _, times in thought)
+    assert not any(chain.is_known for chain, _ in thought)
+    prepare(robots, [chain for chain, _ in thought])
+    assert all(chain.is_known for chain, _ in thought)
     for visits in NIGHTS:
         chain, times = observe(robots, visits)
         told = told_one_by_one(plate, configurations, visits, robots.routing, robots.seed)
-        assert chain.is_exact
+        assert chain.is_known
         assert times == [time_s for _, _, time_s in told]
         for key, (position, theta, _) in zip(chain.keys, told, strict=True):
             state = robots.state_after(key)
@@ -164,11 +172,56 @@ def test_chains_are_those_of_a_plain_loop(plate, tmp_path):
     assert observe(robots, NIGHTS[0])[1][2] == 0.0
 
 
+def test_estimates_that_matter_are_the_time_of_robots_that_nobody_disturbs(plate, tmp_path):
+    """Asked for from the start, and after pointings for which the usual time was enough."""
+    configurations = random_configurations(plate, np.random.default_rng(8))
+    robots = make_robots(plate, configurations, tmp_path)
+    visits = (0, 3, 5)
+    position, theta, expected = plate.park_mm, np.zeros(plate.n_robot), []
+    for visit in visits:
+        goal = configurations.goal(visit)
+        _, goal_mm = match_again(plate, position, goal.end_mm, goal.target_id >= 0, goal.travel_power)
+        alone_s, theta = alone(plate.instrument, position, theta, goal_mm)
+        position = goal_mm
+        expected.append(alone_s.max())
+    chain, times = observe(robots, visits, free_s=0.0)
+    assert times == expected
+    assert [match is not None for match in chain.job().matches] == [True] * 3
+    late, _ = observe(robots, visits[:2])
+    assert [match is not None for match in late.job().matches] == [False] * 2
+    assert late.configure(visits[2], 7.0, 13.9).time_s == expected[2]
+    assert [match is not None for match in late.job().matches] == [True] * 2
+    assert late.configure(visits[2], 7.0, 14.0).time_s == 7.0
+
+
+def test_a_match_made_for_robots_that_stand_elsewhere_is_made_again(plate):
+    """The first step ends other than was thought; what was thought of the second is void, and changes nothing."""
+    configurations = random_configurations(plate, np.random.default_rng(9))
+    goals = tuple(configurations.goal(visit) for visit in (0, 3))
+    start = State(plate.park_mm, np.zeros(plate.n_robot))
+    first = chains.Match.of(plate, goals[0], start)
+    elsewhere = State(plate.park_mm[:, ::-1].copy(), np.zeros(plate.n_robot))
+    wrong = chains.Match(np.full(plate.n_robot, -1), elsewhere.position_mm)
+
+    def states(matches):
+        job = chains.ChainJob(start, ("a", "b"), goals, matches)
+        rows = chains.route_chains(chains.ChainBatch((job,), plate, RoutingSettings(), 1)).frames["exposure_allocations"]
+        return rows.drop("theta_deg")
+
+    right = states((None, None))
+    assert states((first, None)).equals(right)
+    assert states((first, chains.Match.of(plate, goals[1], State(first.goal_mm, start.theta_deg)))).equals(right)
+    stays = chains.Match(np.full(plate.n_robot, -1), plate.park_mm)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chains, "route_at_bound", lambda *args: route(*args[:3], plate.park_mm, *args[4:]))
+        assert states((first, wrong)).filter(exposure_id=1).equals(states((stays, None)).filter(exposure_id=1))
+
+
 def test_what_is_not_known_is_routed_at_once_if_it_must_be(plate, tmp_path):
     configurations = random_configurations(plate, np.random.default_rng(9))
     robots = make_robots(plate, configurations, tmp_path)
     chain, times = observe(robots, (0, 3, 5), is_exact=True)
-    assert chain.is_exact
+    assert chain.is_known
     told = told_one_by_one(plate, configurations, (0, 3, 5), robots.routing, robots.seed)
     assert times == [time_s for _, _, time_s in told]
 
@@ -176,7 +229,7 @@ def test_what_is_not_known_is_routed_at_once_if_it_must_be(plate, tmp_path):
 def test_ways_are_kept_and_only_new_ones_routed(plate, tmp_path, monkeypatch):
     configurations = random_configurations(plate, np.random.default_rng(10))
     robots = make_robots(plate, configurations, tmp_path)
-    robots.prepare([observe(robots, (0, 1, 3))[0]])
+    prepare(robots, [observe(robots, (0, 1, 3))[0]])
     done = []
     real = chains.route_chains
     monkeypatch.setattr(
@@ -185,9 +238,9 @@ def test_ways_are_kept_and_only_new_ones_routed(plate, tmp_path, monkeypatch):
     )
     again = make_robots(plate, configurations, tmp_path)
     chain, _ = observe(again, (0, 1, 4))
-    again.prepare([chain])
+    prepare(again, [chain])
     assert done == [("b", 1, 0)]
-    assert observe(again, (0, 1, 4))[0].is_exact
+    assert observe(again, (0, 1, 4))[0].is_known
     told = told_one_by_one(plate, configurations, (0, 1, 4), again.routing, again.seed)
     assert (again.state_after(chain.keys[-1]).position_mm == told[-1][0]).all()
 
@@ -208,7 +261,7 @@ def test_another_seed_or_visit_is_another_way(plate, tmp_path):
 def test_damaged_file_of_ways_is_forgotten(plate, tmp_path, spoil):
     configurations = random_configurations(plate, np.random.default_rng(12))
     robots = make_robots(plate, configurations, tmp_path)
-    robots.prepare([observe(robots, (0, 1))[0]])
+    prepare(robots, [observe(robots, (0, 1))[0]])
     (path,) = tmp_path.glob("*.zip")
     spoil(path)
     assert not Ways(tmp_path).steps
@@ -243,7 +296,7 @@ def test_robots_that_are_not_routed_lose_their_targets(plate, tmp_path):
         4.0,
     )
     swapped = chains.ChainBatch(
-        (chains.ChainJob(start, ("key",), (goal,)),), plate, RoutingSettings.load({"router": "simple-vector"}), 1
+        (chains.ChainJob(start, ("key",), (goal,), (None,)),), plate, RoutingSettings.load({"router": "simple-vector"}), 1
     )
     with pytest.MonkeyPatch.context() as patch:
         own = np.where(has_target, np.arange(plate.n_robot), -1)
@@ -271,7 +324,7 @@ def test_robots_that_hold_a_pointing_up_exchange_targets(monkeypatch):
         has_target = rng.random(plate.n_robot) < 0.7
         target_id = np.where(has_target, np.arange(plate.n_robot), -1)
         goal = chains.Goal(("a", 0, seed), target_id, np.where(has_target, 0, -1).astype(np.int8), end, 4.0)
-        jobs.append(chains.ChainJob(State(start, np.zeros(plate.n_robot)), (str(seed),), (goal,)))
+        jobs.append(chains.ChainJob(State(start, np.zeros(plate.n_robot)), (str(seed),), (goal,), (None,)))
     made = []
     for n_exchange in (0, 8):
         monkeypatch.setattr(chains, "N_EXCHANGE", n_exchange)

@@ -7,14 +7,12 @@ from collections.abc import Collection
 import numpy as np
 
 from survey_sim.allocation.field import BoolArray
-from survey_sim.allocation.kernels.lists import way_costs
+from survey_sim.allocation.kernels.matching import match_all
 from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.allocation.kernels.untangle import untangle
 from survey_sim.allocation.targets import FloatArray, IntArray
 from survey_sim.instrument import Plate
 
-# Cost of what a robot shall not hold, mm^travel_power: more than any way costs.
-BARRED_COST = 1e30
 # A robot's reach is widened by so much, relatively, where its own target lies beyond it by rounding.
 ROUNDING = 1e-12
 
@@ -65,54 +63,31 @@ def match_around(
     untangles
         Whether robots that would be in each other's way exchange targets besides (`untangle`).
     """
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - 0.2 s that the command line's help need not pay
-
     taker, holder = np.flatnonzero(plate.is_live), np.flatnonzero(has_target)
     # The holder itself reaches its target, whatever the rounding.
     farthest = np.hypot(*(end_mm - plate.park_mm).T)[taker]
     patrol = np.maximum(plate.patrol_radius_mm[taker], np.where(has_target[taker], farthest * (1.0 + ROUNDING), 0.0))
-    cost = way_costs(
-        start_mm[taker], plate.park_mm[taker], patrol, plate.is_guide[taker],
-        end_mm[holder], plate.is_guide[holder], travel_power / 2.0,
+    number_barred = [(np.searchsorted(taker, robot), np.searchsorted(holder, other)) for robot, other in barred]
+    held_by_taker, reach_first, reach_taker = match_all(
+        start_mm[taker], plate.park_mm[taker], patrol, plate.is_guide[taker], end_mm[holder], plate.is_guide[holder],
+        np.array(number_barred, dtype=np.int64).reshape(-1, 2), travel_power / 2.0,
     )  # fmt: skip
-    for robot, other in barred:
-        cost[taker == robot, holder == other] = BARRED_COST
-    rows, columns = linear_sum_assignment(cost)
-    if (cost[rows, columns] >= BARRED_COST).any():
+    held = np.full(plate.n_robot, -1)
+    held[taker] = held_by_taker
+    if (held >= 0).sum() < len(holder):
         return None
-    giver = np.full(plate.n_robot, -1)
-    giver[taker[rows]] = holder[columns]
     if untangles:
-        giver = _untangled(plate, start_mm, end_mm, travel_power, taker, holder, cost, giver)
+        reach_robot, nobody = taker[reach_taker].astype(np.int32), np.zeros(0, dtype=np.int32)
+        untangle(
+            start_mm, start_mm, plate.is_live, end_mm[holder], travel_power / 2.0, 0.0, reach_first, reach_robot,
+            np.ones(len(reach_robot), dtype=bool), np.zeros(len(holder) + 1, dtype=np.int64), nobody,
+            nobody.astype(np.int64), plate.instrument.min_separation_mm, held,
+        )  # fmt: skip
+    giver = held.copy()
+    giver[held >= 0] = holder[held[held >= 0]]
     goal_mm = np.where((giver >= 0)[:, None], end_mm[giver], start_mm)
     stuck = place_idle(
         giver < 0, plate.is_live, start_mm, plate.park_mm, plate.patrol_radius_mm,
         plate.instrument.plate_radius_mm, plate.instrument.min_separation_mm, goal_mm,
     )  # fmt: skip
     return None if stuck >= 0 else (giver, goal_mm)
-
-
-def _untangled(
-    plate: Plate,
-    start_mm: FloatArray,
-    end_mm: FloatArray,
-    travel_power: float,
-    taker: IntArray,
-    holder: IntArray,
-    cost: FloatArray,
-    giver: IntArray,
-) -> IntArray:
-    """(n_robot,) `giver` after exchanges that keep robots out of each other's way; `cost` (n_taker, n_holder) is less than
-    `BARRED_COST` where they may.
-    """
-    may_hold = (cost < BARRED_COST).T
-    reach_first = np.concatenate([[0], np.cumsum(may_hold.sum(axis=1))])
-    reach_robot = taker[np.nonzero(may_hold)[1]].astype(np.int32)
-    held = np.where(giver >= 0, np.searchsorted(holder, giver), -1)
-    nobody = np.zeros(0, dtype=np.int32)
-    untangle(
-        start_mm, start_mm, plate.is_live, end_mm[holder], travel_power / 2.0, 0.0, reach_first, reach_robot,
-        np.ones(len(reach_robot), dtype=bool), np.zeros(len(holder) + 1, dtype=np.int64), nobody, nobody.astype(np.int64),
-        plate.instrument.min_separation_mm, held,
-    )  # fmt: skip
-    return np.where(held >= 0, holder[held], -1)

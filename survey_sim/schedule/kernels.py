@@ -152,8 +152,8 @@ class Course(NamedTuple):
 NOW, READ_OUT = 0, 1
 PREVIOUS, N_DONE = 0, 1
 # Columns of the log of a night.
-LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD = range(8)
-N_LOG = 8
+LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD, LOG_LOST = range(9)
+N_LOG = 9
 # Pointings of one night: each takes at least the shortest exposure, or is cut short by a cloudy minute.
 MAX_CUT_SHORT = 1_440
 
@@ -466,21 +466,28 @@ def next_tile(night, fields, visits, rules, state, course):
 
 
 @njit(cache=True)
+def waits(night, fields, visits, rules, course, tile):
+    """Seconds until the telescope could be at a tile, and until the last exposure is read, from now."""
+    now, previous = course.clock[NOW], course.place[PREVIOUS]
+    sidereal = night.sidereal_rad + SIDEREAL_RAD_S * now
+    slew = 0.0
+    if previous < 0 or visits.tile[previous] != tile:
+        ha, dec = wrap(sidereal - fields.ra_rad[tile]), fields.dec_rad[tile]
+        from_ha, from_dec = _telescope(fields, visits, sidereal, rules.latitude_rad, previous)
+        slew = _way(ha, dec, from_ha, from_dec) / rules.slew_rad_s + rules.settle_s
+    return slew, max(0.0, course.clock[READ_OUT] - now)
+
+
+@njit(cache=True)
 def point(night, fields, visits, targets, rules, state, course, tile, configuration, lost, log):
     """Point at a tile's visit, if it fits with the time that its configuration really takes, s; whether it does.
 
     One that does not is passed over until time goes on. `lost`: targets that no robot holds after all. The pointing is
     written to the next row of `log` (enough rows, N_LOG).
     """
-    now, previous = course.clock[NOW], course.place[PREVIOUS]
-    visit, survey = course.candidate[tile], fields.survey[tile]
-    sidereal = night.sidereal_rad + SIDEREAL_RAD_S * now
-    ha, dec = wrap(sidereal - fields.ra_rad[tile]), fields.dec_rad[tile]
-    slew = 0.0
-    if previous < 0 or visits.tile[previous] != tile:
-        from_ha, from_dec = _telescope(fields, visits, sidereal, rules.latitude_rad, previous)
-        slew = _way(ha, dec, from_ha, from_dec) / rules.slew_rad_s + rules.settle_s
-    readout = max(0.0, course.clock[READ_OUT] - now)
+    now, visit, survey = course.clock[NOW], course.candidate[tile], fields.survey[tile]
+    ha = wrap(night.sidereal_rad + SIDEREAL_RAD_S * now - fields.ra_rad[tile])
+    slew, readout = waits(night, fields, visits, rules, course, tile)
     start = now + max(slew, max(configuration, readout)) + rules.calibration_s[survey]
     end = start + visits.exposure_s[visit]
     if (
@@ -502,6 +509,7 @@ def point(night, fields, visits, targets, rules, state, course, tile, configurat
     row[LOG_EXPOSURE] = visits.exposure_s[visit] if status == OBSERVED else max(0.0, stop - start)
     row[LOG_STATUS] = status
     row[LOG_OVERHEAD] = min(stop, start) - now
+    row[LOG_LOST] = len(lost)
     course.place[N_DONE] += 1
     course.place[PREVIOUS] = visit
     course.clock[NOW] = stop

@@ -15,6 +15,9 @@ first, and where there is not time enough for all, the richest visits do.
 Greedy within the night, deterministic, and without knowledge of the weather to come.
 """
 
+from __future__ import annotations
+
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -39,10 +42,12 @@ IntArray = npt.NDArray[np.int64]
 
 # Key of the targets' successes among the streams of a run.
 _STREAM_SUCCESS = 2
-# Times that nights are observed with estimates before they are observed one by one.
-N_GUESS = 4
-# Times as many nights as the robots ask for that are scheduled ahead at most: one wrong guess costs the nights after it.
-MOST_AHEAD = 2
+# Nights thought ahead at most; their fields are kept.
+MOST_AHEAD = 256
+# What of the log of a night decides how it leaves the survey.
+_DECIDES = [kernels.LOG_VISIT, kernels.LOG_STATUS, kernels.LOG_LOST]
+
+Sky = tuple[kernels.Night, kernels.Fields]
 
 
 @dataclass(frozen=True)
@@ -110,11 +115,12 @@ def make_schedule(
     nights = make_nights(ephemeris, is_cloudy, rules, settings)
     look_ahead = LookAhead.of(problem, ephemeris, nights, rules, settings)
     survey = _Survey(problem, ephemeris, nights, rules, look_ahead, _numbers(problem, rules, settings, seed))
-    logs, complete, state = survey.observe(robots or UsualRobots(len(nights)))
+    course = _Course(survey, robots or UsualRobots())
+    course.run()
     return Schedule(
-        exposures=exposures_table(problem, ephemeris, nights, logs),
-        nights=nights_table(problem, nights, logs, complete),
-        target_status=target_status_table(problem, state, look_ahead, allocation_reasons),
+        exposures=exposures_table(problem, ephemeris, nights, course.logs),
+        nights=nights_table(problem, nights, course.logs, course.complete),
+        target_status=target_status_table(problem, course.state, look_ahead, allocation_reasons),
         warnings=find_warnings(problem, settings, nights, look_ahead),
     )
 
@@ -130,49 +136,7 @@ class _Survey:
     look_ahead: LookAhead
     numbers: Rules
 
-    def observe(self, robots: Robots) -> tuple[list[FloatArray], IntArray, State]:
-        """Log of every night, targets of each programme complete after it (n_night, n_programme), and the end.
-
-        Some nights at a time are observed with estimates of what is not known, while the robots' ways are found for those
-        already decided; then they are observed again, until no estimate was needed; the last time, nothing is estimated.
-        So the result is that of night after night in order. While estimates do, more nights are taken at a time.
-        """
-        state = initial_state(self.problem)
-        logs: list[FloatArray] = []
-        complete = np.zeros((len(self.nights), len(self.problem.programmes)), dtype=np.int64)
-        n_ahead = robots.n_ahead
-        while len(logs) < len(self.nights):
-            ahead = range(len(logs), min(len(logs) + n_ahead, len(self.nights)))
-            skies = [self._sky(number) for number in ahead]
-            for is_exact in (*(False,) * N_GUESS, True):
-                trial = State(*(array.copy() for array in state))
-                chains = [robots.begin_night(is_exact=is_exact) for _ in ahead]
-                found: list[FloatArray] = []
-                robots.prepare(self._observe_nights(ahead, skies, trial, chains, found, complete))
-                if all(chain.is_exact for chain in chains):
-                    break
-            n_ahead = robots.n_ahead if is_exact else min(2 * n_ahead, MOST_AHEAD * robots.n_ahead)
-            robots.accept(chains)
-            state = trial
-            logs += found
-        return logs, complete, state
-
-    def _observe_nights(
-        self,
-        numbers: range,
-        skies: Sequence[tuple[kernels.Night, kernels.Fields] | None],
-        state: State,
-        chains: Sequence[Chain],
-        logs: list[FloatArray],
-        complete: IntArray,
-    ) -> Iterator[Chain]:
-        """Observe nights, one whenever one is asked for: `state` goes on, `logs` and `complete` are filled."""
-        for number, sky, chain in zip(numbers, skies, chains, strict=True):
-            logs.append(self._observe_night(number, sky, state, chain))
-            complete[number] = state.n_complete
-            yield chain
-
-    def _sky(self, number: int) -> tuple[kernels.Night, kernels.Fields] | None:
+    def sky(self, number: int) -> Sky | None:
         """A night and its fields, whatever was observed before; None if nothing is."""
         night = self.nights[number]
         if night.is_engineering:
@@ -180,14 +144,86 @@ class _Survey:
         sky = kernels.Night(number, night.sidereal_rad, night.level, night.moon, night.is_cloudy)
         return sky, make_fields(self.problem, self.ephemeris, night, self.rules)
 
-    def _observe_night(
-        self, number: int, sky: tuple[kernels.Night, kernels.Fields] | None, state: State, chain: Chain
-    ) -> FloatArray:
+    def observe_night(self, number: int, sky: Sky | None, state: State, chain: Chain) -> FloatArray:
+        """Observe a night, see `observe_night`."""
         if sky is None:
             return np.empty((0, kernels.N_LOG))
         night, fields = sky
         fields = fields._replace(pressure=self.look_ahead.pressure(number, state, self.numbers))
         return observe_night(night, fields, self.problem.visits, self.problem.targets, self.numbers, state, chain)
+
+
+class _Course:
+    """The nights in order, and those thought ahead.
+
+    A night is observed twice. First ahead of its turn, with estimates of what is not known of the robots, so that their ways
+    are found while other nights are decided; then in its turn, with nothing estimated. Where visits are other than was
+    thought, all nights after it are thought of again: what is made is that of night after night in order.
+
+    Parameters
+    ----------
+    survey, robots
+        What is observed, and who knows how long the robots take.
+
+    Attributes
+    ----------
+    state
+        After the nights that had their turn.
+    logs, complete
+        Of these: log of each night, and (n_night, n_programme) targets of each programme complete after it.
+    """
+
+    def __init__(self, survey: _Survey, robots: Robots) -> None:
+        self._survey, self._robots = survey, robots
+        self.state = initial_state(survey.problem)
+        self.logs: list[FloatArray] = []
+        self.complete = np.zeros((len(survey.nights), len(survey.problem.programmes)), dtype=np.int64)
+        self._ahead: State | None = None
+        self._thought: deque[tuple[Chain, FloatArray]] = deque()
+        self._skies: dict[int, Sky | None] = {}
+
+    def run(self) -> None:
+        """Observe all nights."""
+        while (n_done := len(self.logs)) < len(self._survey.nights):
+            for _ in self._robots.prepare(self._think_ahead()):
+                self._observe_known()
+            self._observe_known()
+            if len(self.logs) == n_done:  # nobody thinks ahead
+                self._observe_next()
+
+    def _think_ahead(self) -> Iterator[Chain]:
+        """Nights as they are thought to go, each thought of when it is asked for."""
+        while len(self._thought) < MOST_AHEAD and (number := len(self.logs) + len(self._thought)) < len(self._survey.nights):
+            if self._ahead is None:
+                self._ahead = State(*(array.copy() for array in self.state))
+            chain = self._robots.begin_night(is_exact=False)
+            log = self._survey.observe_night(number, self._sky(number), self._ahead, chain)
+            self._thought.append((chain, log))
+            yield chain
+            self._observe_known()
+
+    def _observe_known(self) -> None:
+        """Observe the nights whose turn it is, as long as their ways, as they were thought to go, are known."""
+        while self._thought and self._thought[0][0].is_known:
+            self._observe_next()
+
+    def _observe_next(self) -> None:
+        """Observe the night whose turn it is."""
+        number, chain = len(self.logs), self._robots.begin_night(is_exact=True)
+        log = self._survey.observe_night(number, self._sky(number), self.state, chain)
+        self.logs.append(log)
+        self.complete[number] = self.state.n_complete
+        self._skies.pop(number)
+        self._robots.accept(chain)
+        _, thought = self._thought.popleft() if self._thought else (None, None)
+        if thought is None or not np.array_equal(thought[:, _DECIDES], log[:, _DECIDES]):
+            self._thought.clear()
+            self._ahead = None
+
+    def _sky(self, number: int) -> Sky | None:
+        if number not in self._skies:
+            self._skies[number] = self._survey.sky(number)
+        return self._skies[number]
 
 
 def observe_night(
@@ -207,7 +243,7 @@ def observe_night(
     while (tile := kernels.next_tile(night, fields, visits, rules, state, course)) >= 0:
         visit = int(course.candidate[tile])
         usual_s = kernels.configuration_time(visits, visit, course.place[kernels.PREVIOUS], rules.configuration_s)
-        way = chain.configure(visit, usual_s)
+        way = chain.configure(visit, usual_s, max(kernels.waits(night, fields, visits, rules, course, tile)))
         lost = np.searchsorted(targets.target_id, way.lost)
         if kernels.point(night, fields, visits, targets, rules, state, course, tile, way.time_s, lost, log):
             chain.go(visit)

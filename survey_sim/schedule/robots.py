@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -33,13 +32,13 @@ class Chain(Protocol):
     """The robots through one night: from park, each configuration from the one before."""
 
     @property
-    def is_exact(self) -> bool:
-        """Whether no time that was given is an estimate."""
+    def is_known(self) -> bool:
+        """Whether the ways to all visits that they went to are known by now."""
 
-    def configure(self, visit: int, usual_s: float) -> Configuration:
+    def configure(self, visit: int, usual_s: float, free_s: float) -> Configuration:
         """The way to a visit from where the robots stand; they do not go yet.
 
-        `usual_s`: what such a way usually takes, the estimate where it is not known.
+        `usual_s`: what such a way usually takes; `free_s`: what costs nothing, since the telescope waits anyway.
         """
 
     def go(self, visit: int) -> None:
@@ -47,50 +46,42 @@ class Chain(Protocol):
 
 
 class Robots(Protocol):
-    """Whoever knows where the robots stand and how they move.
-
-    Attributes
-    ----------
-    n_ahead
-        Nights that are scheduled with estimates at a time, while the ways of the first of them are found.
-    """
-
-    n_ahead: int
+    """Whoever knows where the robots stand and how they move."""
 
     def begin_night(self, *, is_exact: bool) -> Chain:
         """All robots at park; exact: no estimate will do."""
 
-    def prepare(self, chains: Iterable[Chain]) -> None:
-        """Take all of these nights, each decided when it is asked for, and learn the ways that they would take."""
+    def prepare(self, nights: Iterable[Chain]) -> Iterator[None]:
+        """Learn the ways of nights as they are thought to go, each asked for when there is room for it.
 
-    def accept(self, chains: Sequence[Chain]) -> None:
-        """These nights, the next ones, are as they shall be."""
+        Yields whenever more is known; at its end, all is.
+        """
+
+    def accept(self, chain: Chain) -> None:
+        """The next night is as it shall be."""
 
 
 class UsualRobots:
     """Robots that take the usual time for every way, and of which none is lost."""
 
-    def __init__(self, n_ahead: int) -> None:
-        self.n_ahead = n_ahead
-
     def begin_night(self, *, is_exact: bool) -> UsualChain:
         """A night."""
         return UsualChain()
 
-    def prepare(self, chains: Iterable[Chain]) -> None:
-        """Nothing to learn of them."""
-        deque(chains, maxlen=0)
+    def prepare(self, nights: Iterable[Chain]) -> Iterator[None]:
+        """Nothing to learn: no night need be thought of ahead."""
+        return iter(())
 
-    def accept(self, chains: Sequence[Chain]) -> None:
+    def accept(self, chain: Chain) -> None:
         """Nothing to keep."""
 
 
 class UsualChain:
     """One night of `UsualRobots`."""
 
-    is_exact = True
+    is_known = True
 
-    def configure(self, visit: int, usual_s: float) -> Configuration:
+    def configure(self, visit: int, usual_s: float, free_s: float) -> Configuration:
         """The usual time."""
         return Configuration(usual_s, np.empty(0, dtype=np.int64))
 

@@ -6,9 +6,10 @@ import json
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import jinja2
 import polars as pl
@@ -35,17 +36,34 @@ Image = tuple[bytes, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Drawing:
-    """Figures that one process draws: names of scripts in a folder, what they draw, and where to."""
+    """A figure that some process draws.
 
-    names: tuple[str, ...]
+    Attributes
+    ----------
+    name, reports
+        Of its script, and the scripts' folder.
+    run_dir, folder
+        What it draws, and where to.
+    report
+        Name of the report that it is for, which no other has: a process keeps a run's tables for one report.
+    """
+
+    name: str
     reports: Path
-    run: RunTables
+    run_dir: Path
     folder: Path
+    report: str
 
-    def draw(self) -> dict[str, Image]:
-        """Draw and save them; gives them by name."""
-        scripts = (load_script(self.reports / f"{name}.py") for name in self.names)
-        return {script.name: draw_script(script, self.run, self.folder) for script in scripts}
+    def draw(self) -> tuple[str, Image]:
+        """Draw and save it; gives its name too."""
+        script = load_script(self.reports / f"{self.name}.py")
+        return self.name, draw_script(script, _run_tables(self.run_dir, self.report), self.folder)
+
+
+@lru_cache(maxsize=1)
+def _run_tables(run_dir: Path, report: str) -> RunTables:
+    """The tables of a run, as far as this process has read them for a report."""
+    return RunTables(run_dir)
 
 
 @dataclass
@@ -91,10 +109,11 @@ def make_report(run_dir: Path, workers: Workers | None = None) -> Path:
     InputError
         The folder holds no run, or a table is not sound.
     """
-    run, reports = RunTables(run_dir), data_folder("reports")
-    folder = run_dir / "report"
-    scripts = find_scripts(reports)
-    drawn = _begin_drawing(tuple(scripts), reports, run, folder / "figures", workers or Workers())
+    reports, folder, report = data_folder("reports"), run_dir / "report", uuid4().hex
+    run, scripts = _run_tables(run_dir, report), find_scripts(reports)
+    drawings = [Drawing(name, reports, run_dir, folder / "figures", report) for name in scripts]
+    near = workers if workers is not None and workers.are_near else Workers()  # a cluster may lack the files
+    drawn = near.stream(Drawing.draw, drawings)
     summary = summarise(run)
     players = _write_players(run, summary, folder)
     page = environment(reports).get_template(PAGE)
@@ -103,7 +122,7 @@ def make_report(run_dir: Path, workers: Workers | None = None) -> Path:
         summary=summary,
         quantities=QUANTITIES,
         players=players,
-        figures=Figures(scripts, {name: image for images in drawn for name, image in images.items()}),
+        figures=Figures(scripts, dict(drawn)),
         style=Markup((reports / STYLE).read_text(encoding="utf-8")),
         record=run.record,
         colours={name: line.color for name, line in programme_lines(run).items()},
@@ -113,20 +132,6 @@ def make_report(run_dir: Path, workers: Workers | None = None) -> Path:
     )
     tables.write_bytes(text.encode(), folder / "index.html")
     return folder / "index.html"
-
-
-def _begin_drawing(
-    names: tuple[str, ...], reports: Path, run: RunTables, folder: Path, workers: Workers
-) -> Iterator[dict[str, Image]]:
-    """Draw and save figures: each worker of this machine some, at once; without workers when asked for.
-
-    A cluster may lack the files. Figures that draw the same tables are next to each other by name, mostly: each worker has a
-    run of names.
-    """
-    near = workers if workers.scheduler is None else Workers()
-    ends = [len(names) * share // max(1, near.n) for share in range(max(1, near.n) + 1)]
-    shares = [names[begin:end] for begin, end in pairwise(ends)]
-    return near.stream(Drawing.draw, [Drawing(share, reports, run, folder) for share in shares])
 
 
 def _write_players(run: RunTables, summary: Summary, folder: Path) -> dict[str, str]:

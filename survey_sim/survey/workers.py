@@ -61,14 +61,19 @@ class Workers:
     @property
     def are_elsewhere(self) -> bool:
         """Whether there are processes besides this one."""
-        return self.n > 0 or self.scheduler is not None
+        return self.n > 0 or not self.are_near
+
+    @property
+    def are_near(self) -> bool:
+        """Whether all are on this machine, and may read the run's files."""
+        return self.scheduler is None
 
     def begin(self, function: Callable[[Any], Any]) -> None:
         """Start processes on this machine, and have them load the module of a function that they will be given.
 
         They do so while this process goes on.
         """
-        if self.n > 0 and self.scheduler is None:
+        if self.n > 0 and self.are_near:
             from distributed import fire_and_forget  # noqa: PLC0415
 
             client = self._open()
@@ -88,7 +93,7 @@ class Workers:
         waiting = iter(tasks)
         first = list(islice(waiting, 2))
         waiting = chain(first, waiting)
-        if not self.are_elsewhere or (self.scheduler is None and len(first) <= 1):
+        if not self.are_elsewhere or (self.are_near and len(first) <= 1):
             return _stream_here(function, waiting)
         from distributed import as_completed  # noqa: PLC0415
 
@@ -136,7 +141,7 @@ class Workers:
     def _open(self) -> Client:
         if self._client is None:
             _quiet_dask()
-            self._client = self._join() if self.scheduler is not None else self._start()
+            self._client = self._start() if self.are_near else self._join()
         return self._client
 
     def _join(self) -> Client:

@@ -114,28 +114,6 @@ def nearest_squared(xy, places):
     return nearest
 
 
-@kernel
-def way_costs(start_xy, park_xy, patrol, is_guide, xy, is_for_guide, half_power):
-    """(n_robot, n_target) distance^(2 half_power) of each robot from each target; inf for those that it may not take.
-
-    Parameters
-    ----------
-    start_xy, park_xy, patrol, is_guide
-        (n_robot, 2) twice and (n_robot,) twice: a robot takes targets within its patrol disc, of its kind.
-    xy, is_for_guide
-        (n_target, 2) and (n_target,).
-    """
-    cost = np.full((len(start_xy), len(xy)), np.inf)
-    for r in range(len(start_xy)):
-        for t in range(len(xy)):
-            dx, dy = xy[t, 0] - park_xy[r, 0], xy[t, 1] - park_xy[r, 1]
-            if is_guide[r] == is_for_guide[t] and dx * dx + dy * dy <= patrol[r] * patrol[r]:
-                dx, dy = xy[t, 0] - start_xy[r, 0], xy[t, 1] - start_xy[r, 1]
-                d2 = dx * dx + dy * dy
-                cost[r, t] = d2 * d2 if half_power == 2.0 else d2**half_power
-    return cost
-
-
 @inlined_kernel
 def _reached(x, y, is_guided, robot_xy, reach, is_guide, hit):
     """Note in `hit` the places of the targets, from west to east, that a robot reaches; gives their number.

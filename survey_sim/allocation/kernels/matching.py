@@ -528,3 +528,65 @@ def match_open(
         if pair[r] >= 0:
             held[r] = full[target[pair[r]]]
     return held
+
+
+@kernel
+def _reachable(park_xy, patrol, is_guide, xy, is_for_guide, barred):
+    """Lists of the robots that may hold each target: (first (n_target + 1,), robot (n_pair,))."""
+    first, robot = np.zeros(len(xy) + 1, np.int64), np.empty(len(xy) * len(park_xy), np.int32)
+    n = 0
+    for t in range(len(xy)):
+        for r in range(len(park_xy)):
+            dx, dy = xy[t, 0] - park_xy[r, 0], xy[t, 1] - park_xy[r, 1]
+            if is_guide[r] != is_for_guide[t] or dx * dx + dy * dy > patrol[r] * patrol[r]:
+                continue
+            robot[n] = r
+            n += 1
+            for k in range(len(barred)):
+                if barred[k, 0] == r and barred[k, 1] == t:
+                    n -= 1
+                    break
+        first[t + 1] = n
+    return first, robot[:n].copy()
+
+
+@kernel
+def match_all(start_xy, park_xy, patrol, is_guide, xy, is_for_guide, barred, half_power):
+    """All targets held with the least sum of travel^P: of no more targets than robots, none too close to another.
+
+    Parameters
+    ----------
+    start_xy, park_xy, patrol, is_guide
+        (n_robot, 2) twice and (n_robot,) twice: a robot takes targets within its patrol disc, of its kind.
+    xy, is_for_guide
+        (n_target, 2) and (n_target,).
+    barred
+        (n_barred, 2) robots and targets that they shall not hold.
+    half_power
+        P / 2.
+
+    Returns
+    -------
+    held
+        (n_robot,) target of each robot or -1. Targets that cannot all be held together are left out, as few as can be.
+    first, robot
+        Lists of the robots that may hold each target.
+    """
+    first, robot = _reachable(park_xy, patrol, is_guide, xy, is_for_guide, barred)
+    cost, target = np.empty(len(robot)), np.empty(len(robot), np.int32)
+    for t in range(len(xy)):
+        for p in range(first[t], first[t + 1]):
+            r, target[p] = robot[p], t
+            cost[p] = _travel_cost(xy[t, 0], xy[t, 1], start_xy[r, 0], start_xy[r, 1], half_power)
+    if len(cost) > 0:
+        cost /= max(cost.max(), 1e-12)
+    own_first, own_pair = _pairs_by_robot(len(start_xy), robot)
+    nobody_first, nobody = np.zeros(len(xy) + 1, np.int64), np.zeros(0, np.int32)
+    # A robot without a target costs more than all ways together, so as few as can be are.
+    pairs = Pairs(len(xy) + 1.0, own_first, own_pair, first, robot, target, cost, nobody_first, nobody, xy, 0.0)
+    now = _relaxed(len(start_xy), len(xy), pairs, _tree(len(start_xy), len(xy)))
+    held = np.full(len(start_xy), -1, np.int64)
+    for r in range(len(held)):
+        if now.pair[r] >= 0:
+            held[r] = target[now.pair[r]]
+    return held, first, robot

@@ -113,7 +113,7 @@ class Way(Tried):
     Attributes
     ----------
     giver, goal_mm
-        As `match_again` gives them.
+        As in `Match`.
     barred, places
         What was barred to get there, as in `match_around`; where idle robots were told to rest.
     """
@@ -122,6 +122,25 @@ class Way(Tried):
     goal_mm: FloatArray
     barred: frozenset[tuple[int, int]]
     places: Places
+
+
+@dataclass(frozen=True)
+class Match:
+    """A visit's targets matched again, as `match_again` gives them.
+
+    Attributes
+    ----------
+    giver, goal_mm
+        (n_robot,) whose target each robot goes to; (n_robot, 2) where it shall end.
+    """
+
+    giver: IntArray
+    goal_mm: FloatArray
+
+    @classmethod
+    def of(cls, plate: Plate, goal: Goal, state: State) -> Match:
+        """The match for robots that stand so."""
+        return cls(*match_again(plate, state.position_mm, goal.end_mm, goal.target_id >= 0, goal.travel_power))
 
 
 @dataclass(frozen=True)
@@ -134,11 +153,14 @@ class ChainJob:
         Where the robots stand before the first.
     keys
         Name of each step: a digest of all that led there.
+    matches
+        Those made before, each for robots that end every step before it where its match says; None where there is none.
     """
 
     start: State
     keys: tuple[str, ...]
     goals: tuple[Goal, ...]
+    matches: tuple[Match | None, ...]
 
 
 @dataclass(frozen=True)
@@ -172,9 +194,11 @@ def route_chains(batch: ChainBatch) -> ChainResult:
     rows = {table: Rows(table) for table in EXPOSURE_TABLES}
     steps: list[tuple[str, int, float, list[int]]] = []
     for job in batch.jobs:
-        state = job.start
-        for key, goal in zip(job.keys, job.goals, strict=True):
-            state, time_s, lost = _go_on(batch, goal, state, len(steps), rows)
+        state, is_as_thought = job.start, True
+        for key, goal, thought in zip(job.keys, job.goals, job.matches, strict=True):
+            match = thought if thought is not None and is_as_thought else Match.of(batch.plate, goal, state)
+            state, time_s, lost = _go_on(batch, goal, state, match, len(steps), rows)
+            is_as_thought = is_as_thought and np.array_equal(state.position_mm, match.goal_mm)
             steps.append((key, len(steps), time_s, lost))
     schema = pl.Schema({"key": pl.String(), "step": pl.Int32(), "time_s": pl.Float64(), "lost": pl.List(pl.Int64())})
     known = pl.DataFrame(steps, schema=schema, orient="row")
@@ -183,11 +207,11 @@ def route_chains(batch: ChainBatch) -> ChainResult:
 
 
 def _go_on(
-    batch: ChainBatch, goal: Goal, state: State, step: int, rows: Mapping[str, Rows]
+    batch: ChainBatch, goal: Goal, state: State, match: Match, step: int, rows: Mapping[str, Rows]
 ) -> tuple[State, float, list[int]]:
     """Configure for one visit: where the robots stand then, how long it took, s, and science targets lost."""
     plate, key = batch.plate, {"exposure_id": step}
-    way = best_way(batch, goal, state)
+    way = best_way(batch, goal, state, match)
     giver, (routed,) = way.giver, way.routed
     played = simulate(plate, state.position_mm, state.theta_deg, routed.legs)
     made = PlayedPath(routed.legs, played, REASON_CODES[routed.reason], routed.lower_bound_s)
@@ -212,8 +236,8 @@ def _go_on(
     return State(routed.end_mm, routed.end_theta_deg), played.configuration_time_s, sorted(lost.tolist())
 
 
-def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
-    """The way to a visit: targets matched again, and exchanged where robots would be in each other's way."""
+def best_way(batch: ChainBatch, goal: Goal, state: State, match: Match) -> Way:
+    """The way to a visit: as its targets are matched, and exchanged where robots would be in each other's way."""
     plate, has_target = batch.plate, goal.target_id >= 0
 
     def paths(router: Callable[..., RoutedPath | HeldUp], goal_mm: FloatArray) -> tuple[RoutedPath | HeldUp]:
@@ -247,8 +271,7 @@ def best_way(batch: ChainBatch, goal: Goal, state: State) -> Way:
     def whole(way: Way) -> Way:
         return replace(way, paths=paths(route, way.goal_mm))
 
-    giver, goal_mm = match_again(plate, state.position_mm, goal.end_mm, has_target, goal.travel_power)
-    first = Proposal(goal_mm, 0.0, lambda: tried(giver, goal_mm, frozenset(), {}))
+    first = Proposal(match.goal_mm, 0.0, lambda: tried(match.giver, match.goal_mm, frozenset(), {}))
     return least_costly(first, others, whole, N_EXCHANGE)
 
 

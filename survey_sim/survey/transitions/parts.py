@@ -28,12 +28,26 @@ class _Part:
     signature
         Digest of the names of its steps and of the number of its first exposure.
     steps
-        Files of ways that hold its steps: content, places in the file, and the exposures that they are.
+        Files of ways that hold its steps (`Ways.source`): places in the file, and the exposures that they are.
     """
 
     name: str
     signature: str
-    steps: tuple[tuple[bytes, pl.DataFrame], ...]
+    steps: tuple[tuple[bytes | Path, pl.DataFrame], ...]
+
+    def rows(self, table: str) -> pl.DataFrame:
+        """Its rows of a table."""
+        return pl.concat([tables.empty(table), *(_numbered(read_ways(source, table), some) for source, some in self.steps)])
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A part made: its file of each table, and its rows of `exposure_paths`."""
+
+    name: str
+    signature: str
+    contents: dict[str, bytes]
+    paths: pl.DataFrame
 
 
 def write_parts(run: Run, robots: PlateRobots) -> None:
@@ -51,14 +65,19 @@ def write_parts(run: Run, robots: PlateRobots) -> None:
         for begin, name in zip(begins, names, strict=True):
             keys = [key for night in robots.nights[begin : begin + begins.step] for key in night]
             signature = sha256(json.dumps([first, *keys]).encode()).hexdigest()
-            places = _places(robots, keys, first)
-            paths.extend(_numbered(robots.ways.read(file, "exposure_paths"), some) for file, some in places.items())
-            if not _is_whole(run, name, signature):
-                yield _Part(name, signature, tuple((robots.ways.content(file), some) for file, some in places.items()))
+            places, is_whole = _places(robots, keys, first), _is_whole(run, name, signature)
+            is_near = is_whole or run.workers.are_near
+            steps = tuple((robots.ways.source(file, is_near=is_near), some) for file, some in places.items())
+            part = _Part(name, signature, steps)
+            if is_whole:
+                paths.append(part.rows("exposure_paths"))
+            else:
+                yield part
             first += len(keys)
 
-    for name, signature, contents in run.workers.stream(_encode, stale()):
-        _write(run, name, signature, contents)
+    for made in run.workers.stream(_make, stale()):
+        _write(run, made)
+        paths.append(made.paths)
     tables.write(pl.concat(paths), "exposure_paths", run.table("exposure_paths"))
     robots.ways.prune({key for night in robots.nights for key in night})
 
@@ -90,22 +109,19 @@ def _numbered(rows: pl.DataFrame, places: pl.DataFrame) -> pl.DataFrame:
     return found.with_columns(exposure_id="own").drop("own")
 
 
-def _encode(part: _Part) -> tuple[str, str, dict[str, bytes]]:
-    """Name and signature of a part, and its file of each table: work for another process."""
-    contents = {}
-    for table in _IN_PARTS:
-        rows = [_numbered(read_ways(content, table), places) for content, places in part.steps]
-        contents[table] = tables.encode(pl.concat([tables.empty(table), *rows]), table)
-    return part.name, part.signature, contents
+def _make(part: _Part) -> _Made:
+    """Make a part: work for another process."""
+    contents = {table: tables.encode(part.rows(table), table) for table in _IN_PARTS}
+    return _Made(part.name, part.signature, contents, part.rows("exposure_paths"))
 
 
-def _write(run: Run, name: str, signature: str, contents: dict[str, bytes]) -> None:
+def _write(run: Run, made: _Made) -> None:
     """Write a part of each table, and last the manifest that says they are whole."""
-    for table, content in contents.items():
-        tables.write_bytes(content, run.table(table) / f"{name}.parquet", aside=run.folder)
-    checksums = {table: sha256(content).hexdigest() for table, content in contents.items()}
-    kept = {"name": name, "signature": signature, "sha256": checksums}
-    tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), run.state / "nights" / f"{name}.json")
+    for table, content in made.contents.items():
+        tables.write_bytes(content, run.table(table) / f"{made.name}.parquet", aside=run.folder)
+    checksums = {table: sha256(content).hexdigest() for table, content in made.contents.items()}
+    kept = {"name": made.name, "signature": made.signature, "sha256": checksums}
+    tables.write_bytes(json.dumps(kept, sort_keys=True).encode(), run.state / "nights" / f"{made.name}.json")
 
 
 def _is_whole(run: Run, name: str, signature: str | None = None) -> bool:

@@ -20,6 +20,7 @@ import polars as pl
 
 from survey_sim import tables
 from survey_sim.instrument import Plate
+from survey_sim.motion import alone
 from survey_sim.routing import RoutingSettings
 from survey_sim.schedule.robots import Chain, Configuration
 from survey_sim.survey.tile import State
@@ -27,14 +28,17 @@ from survey_sim.survey.transitions.chains import (
     ChainBatch,
     ChainJob,
     Configurations,
+    Goal,
+    Match,
     batches,
     route_chains,
 )
 from survey_sim.survey.workers import Workers
 
-# Nights scheduled ahead before their ways are routed together, and steps of one task: enough to keep many workers busy.
-N_AHEAD = 64
+# Steps of one task of a worker.
 N_STEP_TASK = 60
+# A way of so many times the usual time is hardly ever seen: where that costs nothing, the usual time is estimate enough.
+FAR_FROM_USUAL = 2.0
 _STEPS = "steps"
 
 
@@ -69,9 +73,9 @@ def route_and_pack(batch: ChainBatch) -> Packed:
     return Packed(name, content.getvalue(), result.steps)
 
 
-def read_ways(content: bytes, table: str) -> pl.DataFrame:
-    """Rows of one of `EXPOSURE_TABLES` of a file of ways; `exposure_id` is the step's place in it."""
-    with zipfile.ZipFile(BytesIO(content)) as kept:
+def read_ways(source: bytes | Path, table: str) -> pl.DataFrame:
+    """Rows of one of `EXPOSURE_TABLES` of a file of ways, or of its content; `exposure_id` is the step's place in it."""
+    with zipfile.ZipFile(BytesIO(source) if isinstance(source, bytes) else source) as kept:
         return pl.read_parquet(BytesIO(kept.read(table)))
 
 
@@ -105,9 +109,9 @@ class Ways:
         tables.write_bytes(packed.content, self.folder / packed.name)
         self._index(packed.name, packed.steps)
 
-    def content(self, name: str) -> bytes:
-        """A file, to be read elsewhere (`read_ways`)."""
-        return (self.folder / name).read_bytes()
+    def source(self, name: str, *, is_near: bool) -> bytes | Path:
+        """A file, for `read_ways` on this machine, or anywhere."""
+        return self.folder / name if is_near else (self.folder / name).read_bytes()
 
     def prune(self, keys: set[str]) -> None:
         """Remove the files that hold none of these steps."""
@@ -121,7 +125,7 @@ class Ways:
             self.steps.setdefault(key, Step(Configuration(time_s, np.array(lost, dtype=np.int64)), name, place))
 
     def _read(self, name: str, table: str) -> pl.DataFrame:
-        return read_ways(self.content(name), table)
+        return read_ways(self.folder / name, table)
 
 
 @dataclass
@@ -146,7 +150,6 @@ class PlateRobots:
     ways: Ways
     workers: Workers
     on_accept: Callable[[int, int], None]
-    n_ahead: int = N_AHEAD
     nights: list[list[str]] = field(default_factory=list)
     _digests: dict[int, bytes] = field(default_factory=dict)
     _keys: dict[tuple[str, int], str] = field(default_factory=dict)
@@ -160,26 +163,27 @@ class PlateRobots:
         """All robots at park; exact: what is not known is routed at once."""
         return PlateChain(self, must_be_exact=is_exact)
 
-    def prepare(self, chains: Iterable[Chain]) -> None:
+    def prepare(self, nights: Iterable[Chain]) -> Iterator[None]:
         """Route what is not known of these nights, the first of them while others are still asked for."""
-        tasks = batches(self._jobs(chains), N_STEP_TASK, self.plate, self.routing, self.seed)
+        tasks = batches(self._jobs(nights), N_STEP_TASK, self.plate, self.routing, self.seed)
         for packed in self.workers.stream(route_and_pack, tasks):
             self.ways.keep(packed)
+            yield
 
-    def _jobs(self, chains: Iterable[Chain]) -> Iterator[ChainJob]:
+    def _jobs(self, nights: Iterable[Chain]) -> Iterator[ChainJob]:
         """What is not known, once: nights that begin with the same visits share their ways."""
-        asked = set()
-        for chain in chains:
-            job = chain.job() if isinstance(chain, PlateChain) else None
+        asked: set[str] = set()
+        for night in nights:
+            job = night.job() if isinstance(night, PlateChain) else None
             if job is not None and job.keys[-1] not in asked:
-                asked.add(job.keys[-1])
+                asked.update(job.keys)
                 yield job
 
-    def accept(self, chains: Sequence[Chain]) -> None:
-        """These nights, the next ones, are as they shall be."""
-        nights = [chain.keys for chain in chains if isinstance(chain, PlateChain)]
-        self.nights += nights
-        self.on_accept(len(nights), sum(map(len, nights)))
+    def accept(self, chain: Chain) -> None:
+        """This night, the next one, is as it shall be."""
+        if isinstance(chain, PlateChain):
+            self.nights.append(chain.keys)
+            self.on_accept(1, len(chain.keys))
 
     def key(self, before: str, visit: int) -> str:
         """Name of the step to a visit after another step (or `fixed`, from park)."""
@@ -201,49 +205,100 @@ class PlateRobots:
             self.ways.keep(route_and_pack(batch))
 
 
+@dataclass(frozen=True)
+class Thought:
+    """A way to a visit were no robot in another's way.
+
+    Attributes
+    ----------
+    end, time_s
+        How the robots stand after it, and when the last of them does, s.
+    """
+
+    match: Match
+    end: State
+    time_s: float
+
+    @classmethod
+    def of(cls, plate: Plate, goal: Goal, start: State) -> Thought:
+        """The way from where the robots stand."""
+        match = Match.of(plate, goal, start)
+        alone_s, theta_deg = alone(plate.instrument, start.position_mm, start.theta_deg, match.goal_mm)
+        return cls(match, State(match.goal_mm, theta_deg), float(alone_s.max()))
+
+
 class PlateChain:
     """One night of `PlateRobots`.
+
+    A way that is not known is estimated. Where its time matters, targets are matched as they will be and robots go straight,
+    as if each were alone: nearly always they can. Else it takes the usual time.
 
     Attributes
     ----------
     visits, keys
         Pointings so far: places of their visits, names of their steps.
-    is_exact
-        Whether no time that was given is an estimate.
     """
 
     def __init__(self, robots: PlateRobots, *, must_be_exact: bool) -> None:
         self.robots, self.must_be_exact = robots, must_be_exact
         self.visits: list[int] = []
         self.keys: list[str] = []
-        self.is_exact = True
+        # What was thought of the pointings so far, as far as it was needed, and of the visit that was asked for last.
+        self._thoughts: list[Thought | None] = []
+        self._asked: Thought | None = None
 
-    def configure(self, visit: int, usual_s: float) -> Configuration:
+    @property
+    def is_known(self) -> bool:
+        """Whether all steps are known."""
+        return all(key in self.robots.ways.steps for key in self.keys)
+
+    def configure(self, visit: int, usual_s: float, free_s: float) -> Configuration:
         """The way to a visit from where the robots stand."""
-        key = self._key(visit)
-        if key not in self.robots.ways.steps and self.must_be_exact:
-            self.robots.route_now(self._job(self.keys, (key,), (visit,)))
-        step = self.robots.ways.steps.get(key)
-        if step is None:
-            self.is_exact = False
-            return Configuration(usual_s, np.empty(0, dtype=np.int64))
-        return step.configuration
+        key, steps = self._key(visit), self.robots.ways.steps
+        if key not in steps and self.must_be_exact:
+            self.robots.route_now(self._job(len(self.keys), [key], [visit], [None]))
+        is_free = usual_s * FAR_FROM_USUAL <= free_s
+        self._asked = None if key in steps or is_free else self._think(visit)
+        if key in steps:
+            return steps[key].configuration
+        return Configuration(usual_s if self._asked is None else self._asked.time_s, np.empty(0, dtype=np.int64))
 
     def go(self, visit: int) -> None:
         """The pointing is made."""
         self.keys.append(self._key(visit))
         self.visits.append(visit)
+        self._thoughts.append(self._asked)
 
     def job(self) -> ChainJob | None:
         """What is not known of the pointings so far."""
-        n_known = next((n for n, key in enumerate(self.keys) if key not in self.robots.ways.steps), len(self.keys))
+        steps = self.robots.ways.steps
+        n_known = next((n for n, key in enumerate(self.keys) if key not in steps), len(self.keys))
         if n_known == len(self.keys):
             return None
-        return self._job(self.keys[:n_known], tuple(self.keys[n_known:]), tuple(self.visits[n_known:]))
+        matches = [None if thought is None else thought.match for thought in self._thoughts[n_known:]]
+        return self._job(n_known, self.keys[n_known:], self.visits[n_known:], matches)
+
+    def _think(self, visit: int) -> Thought:
+        """A visit after the pointings so far."""
+        steps, known = self.robots.ways.steps, len(self.keys)
+        while known > 0 and self._thoughts[known - 1] is None and self.keys[known - 1] not in steps:
+            known -= 1
+        for n in range(known, len(self.keys)):
+            self._thoughts[n] = self._thought(n, self.visits[n])
+        return self._thought(len(self.keys), visit)
+
+    def _thought(self, n_before: int, visit: int) -> Thought:
+        before = self._thoughts[n_before - 1] if n_before else None
+        start = self._state_after(n_before) if before is None else before.end
+        return Thought.of(self.robots.plate, self.robots.configurations.goal(visit), start)
 
     def _key(self, visit: int) -> str:
         return self.robots.key(self.keys[-1] if self.keys else self.robots.fixed, visit)
 
-    def _job(self, before: Sequence[str], keys: tuple[str, ...], visits: tuple[int, ...]) -> ChainJob:
-        start = self.robots.state_after(before[-1]) if before else self.robots.parked
-        return ChainJob(start, keys, tuple(self.robots.configurations.goal(visit) for visit in visits))
+    def _state_after(self, n_step: int) -> State:
+        """Where the robots stand after so many steps, which are known."""
+        return self.robots.state_after(self.keys[n_step - 1]) if n_step else self.robots.parked
+
+    def _job(self, n_before: int, keys: Sequence[str], visits: Sequence[int], matches: Sequence[Match | None]) -> ChainJob:
+        goals = tuple(self.robots.configurations.goal(visit) for visit in visits)
+        return ChainJob(self._state_after(n_before), tuple(keys), goals, tuple(matches))
