@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.schedule.ephemeris import Ephemeris
-from survey_sim.schedule.kernels import Fields, Rules, State, update_weights, work_left
+from survey_sim.schedule.kernels import Fields, Rules, State, sum_open, update_weights, work_left
 from survey_sim.schedule.problem import Problem
 from survey_sim.schedule.settings import SKY_STATES, ScheduleSettings, SkyState, SurveyRule
 from survey_sim.schedule.sky import N_LST_BIN, Night, time_by_bin
@@ -121,7 +121,7 @@ class LookAhead:
 
     def _of_tiles(self, by_survey: FloatArray) -> FloatArray:
         """(n_tile,) sum over the bins open to each tile of a (24, n_survey) quantity."""
-        return np.asarray((self.is_open * by_survey.T[self.problem.tile_survey]).sum(axis=1))
+        return np.asarray(sum_open(self.is_open, self.problem.tile_survey, by_survey))
 
     def pressure(self, night: int, state: State, numbers: Rules) -> FloatArray:
         """(n_tile,) pressure on each tile's time from a night on: hours wanted / hours left, shared with its rivals.

@@ -280,6 +280,16 @@ def work_left(tile_survey, first_visit, visits, state, weight, overhead_s, repea
 
 
 @njit(cache=True)
+def sum_open(is_open, tile_survey, by_survey):
+    """(n,) sum over the bins open to each tile, (n, n_bin) shares, of its survey's column of (n_bin, n_survey)."""
+    total = np.zeros(len(tile_survey))
+    for tile in range(len(tile_survey)):
+        for part in range(is_open.shape[1]):
+            total[tile] += is_open[tile, part] * by_survey[part, tile_survey[tile]]
+    return total
+
+
+@njit(cache=True)
 def credit(visits, targets, state, visit, night, success_frac, key, lost, is_stale):
     """Count a good exposure: draw the success of each target but those lost, and note which tiles' offers that alters."""
     for h in range(visits.first_holding[visit], visits.first_holding[visit + 1]):

@@ -115,12 +115,12 @@ def make_schedule(
     nights = make_nights(ephemeris, is_cloudy, rules, settings)
     look_ahead = LookAhead.of(problem, ephemeris, nights, rules, settings)
     survey = _Survey(problem, ephemeris, nights, rules, look_ahead, _numbers(problem, rules, settings, seed))
-    course = _Course(survey, robots or UsualRobots())
-    course.run()
+    calendar = _Calendar(survey, robots or UsualRobots())
+    calendar.run()
     return Schedule(
-        exposures=exposures_table(problem, ephemeris, nights, course.logs),
-        nights=nights_table(problem, nights, course.logs, course.complete),
-        target_status=target_status_table(problem, course.state, look_ahead, allocation_reasons),
+        exposures=exposures_table(problem, ephemeris, nights, calendar.logs),
+        nights=nights_table(problem, nights, calendar.logs, calendar.complete),
+        target_status=target_status_table(problem, calendar.state, look_ahead, allocation_reasons),
         warnings=find_warnings(problem, settings, nights, look_ahead),
     )
 
@@ -153,7 +153,7 @@ class _Survey:
         return observe_night(night, fields, self.problem.visits, self.problem.targets, self.numbers, state, chain)
 
 
-class _Course:
+class _Calendar:
     """The nights in order, and those thought ahead.
 
     A night is observed twice. First ahead of its turn, with estimates of what is not known of the robots, so that their ways

@@ -85,20 +85,20 @@ class Configurations:
 
     @classmethod
     def read(cls, run_dir: Path, plate: Plate, travel_power: Mapping[str, float]) -> Configurations:
-        """Those of a run's `visits` and `allocations`, part by part."""
+        """Those of a run's `visits` and `allocations`, which have a row for every robot of every visit."""
         visits = tables.read(run_dir, "visits").sort(VISIT_KEY).select(VISIT_KEY)
-        shape = (len(visits), plate.n_robot)
-        made = cls(visits, np.full(shape, -1), np.full(shape, -1, np.int8), np.zeros((*shape, 2)), travel_power)
-        numbered = visits.with_row_index("visit")
+        columns = (*VISIT_KEY, "robot_id", "target_id", "kind", "x_mm", "y_mm")
+        rows = tables.scan(run_dir, "allocations").select(columns).collect().sort(*VISIT_KEY, "robot_id")
         codes = {kind: code for code, kind in enumerate(TARGET_KINDS)}
-        for part in tables.files(run_dir, "allocations"):
-            rows = pl.read_parquet(part).join(numbered, on=VISIT_KEY, how="inner")
-            visit, robot = rows["visit"].to_numpy(), np.searchsorted(plate.robot_id, rows["robot_id"].to_numpy())
-            kind = rows["kind"].replace_strict(codes, default=-1, return_dtype=pl.Int8)
-            made.target_id[visit, robot] = rows["target_id"].fill_null(-1).to_numpy()
-            made.kind[visit, robot] = kind.to_numpy()
-            made.end_mm[visit, robot] = rows.select("x_mm", "y_mm").to_numpy()
-        return made
+        kind = rows["kind"].replace_strict(codes, default=-1, return_dtype=pl.Int8)
+        shape = (len(visits), plate.n_robot)
+        return cls(
+            visits,
+            rows["target_id"].fill_null(-1).to_numpy().reshape(shape),
+            kind.to_numpy().reshape(shape),
+            rows.select("x_mm", "y_mm").to_numpy(order="c").reshape(*shape, 2),
+            travel_power,
+        )
 
     def goal(self, visit: int) -> Goal:
         """The configuration of one visit."""
