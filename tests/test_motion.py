@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from survey_sim.instrument import load_instrument
-from survey_sim.motion import alone_time_s, leg_times_s, make_legs, make_trajectories, turn_onto_line, wrap_deg
+from survey_sim.motion import alone, alone_time_s, leg_times_s, make_legs, make_trajectories, turn_onto_line, wrap_deg
 
 INSTRUMENT = load_instrument("taipan-150")
 # 0.02 mm at 0.3 mm/s rather than 2 mm/s.
@@ -64,11 +64,31 @@ def test_only_the_last_leg_is_precise_and_theta_carries_over():
 def test_alone_is_the_quicker_of_turned_and_not_turned():
     start, theta = np.zeros((3, 2)), np.full(3, 20.0)
     goal = np.array([[2.0, 0.0], [40.0, 0.0], [0.0, 0.0]])
-    alone = alone_time_s(INSTRUMENT, start, theta, goal)
+    alone_s = alone_time_s(INSTRUMENT, start, theta, goal)
     a = np.radians(20)
-    assert alone[0] == pytest.approx(2 * (np.cos(a) + np.sin(a)) / 2 + APPROACH_EXTRA_S)
-    assert alone[1] == pytest.approx(20 / 35 + 20 + APPROACH_EXTRA_S)
-    assert alone[2] == 0
+    assert alone_s[0] == pytest.approx(2 * (np.cos(a) + np.sin(a)) / 2 + APPROACH_EXTRA_S)
+    assert alone_s[1] == pytest.approx(20 / 35 + 20 + APPROACH_EXTRA_S)
+    assert alone_s[2] == 0
+
+
+def test_alone_ends_as_the_legs_of_the_quicker_way_do():
+    rng = np.random.default_rng(4)
+    start = rng.uniform(-20.0, 20.0, (200, 2))
+    goal = start + rng.normal(0.0, 3.0, start.shape)
+    theta = rng.uniform(-180.0, 180.0, 200)
+    goal[:5] = start[:5]
+    time_s, end_deg = alone(INSTRUMENT, start, theta, goal)
+    moves = np.arange(5, 200, dtype=np.int32)
+    ways = []
+    for is_turned in (True, False):
+        flags = np.full(len(moves), is_turned)
+        legs = make_legs(INSTRUMENT, start, theta, moves, np.zeros(len(moves)), goal[moves], flags)
+        ways.append((sum(leg_times_s(INSTRUMENT, legs)), legs.theta_deg))
+    is_turned = ways[0][0] <= ways[1][0]
+    assert 20 < is_turned.sum() < 180
+    for found, of_ways in ((time_s, [way[0] for way in ways]), (end_deg, [way[1] for way in ways])):
+        np.testing.assert_allclose(found[moves], np.where(is_turned, *of_ways), atol=1e-9)
+    assert (end_deg[:5] == theta[:5]).all()
 
 
 def test_no_legs_is_a_path_too():

@@ -238,8 +238,12 @@ class ForgetfulChain:
 
 
 def lost_now_and_then(way):
-    """One night in some loses a target of its first visit."""
-    return autumn_inputs().holdings["target_id"][:1].to_list() if len(way) == 3 and way[-1] % 5 == 0 else ()
+    """The second visit of a night loses half of its targets, one time in three."""
+    if len(way) != 2 or way[-1] % 3:
+        return ()
+    inputs = autumn_inputs()
+    visit = inputs.visits.sort(VISIT).select(VISIT).row(way[-1], named=True)
+    return inputs.holdings.filter(**visit)["target_id"].sort()[::2].to_list()
 
 
 @pytest.mark.parametrize("lost", [lambda way: (), lost_now_and_then])

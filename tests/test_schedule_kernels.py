@@ -99,11 +99,11 @@ def test_night_worked_by_hand(two_tiles):
     log = run(make_night([[TAKES] * 60], [False] * 60), fields, visits, targets, make_rules(), state)
     assert log[:, kernels.LOG_VISIT].tolist() == [0, 1, 2]
     # Zenith to tile 0: 10 s of settling, 30 s of robots; then 40 s of lamps.
-    assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 600.0, kernels.OBSERVED, 70.0, 0.0])
+    assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 600.0, kernels.OBSERVED, 70.0])
     # Same tile, next visit: 60 s of readout outlast 25 s of robots.
-    assert log[1] == pytest.approx([1, 770.0, 0.0, 25.0, 60.0, 600.0, kernels.OBSERVED, 100.0, 0.0])
+    assert log[1] == pytest.approx([1, 770.0, 0.0, 25.0, 60.0, 600.0, kernels.OBSERVED, 100.0])
     # The other tile: the longer of 35 s and 45 s from park, and the slew (2 s + 10 s), within the readout.
-    assert log[2] == pytest.approx([2, 1470.0, 12.0, 45.0, 60.0, 600.0, kernels.OBSERVED, 100.0, 0.0])
+    assert log[2] == pytest.approx([2, 1470.0, 12.0, 45.0, 60.0, 600.0, kernels.OBSERVED, 100.0])
     assert state.n_observed.tolist() == [1] * 7
     assert state.n_complete.tolist() == [7]
     assert not state.gain.any()
@@ -114,9 +114,9 @@ def test_cloud_interrupts_and_the_visit_is_repeated_where_the_robots_stand(two_t
     state = make_state(fields, visits, targets)
     is_cloudy = np.arange(60) == 10
     log = run(make_night([[TAKES] * 60], is_cloudy), fields, visits, targets, make_rules(), state)
-    assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 530.0, kernels.INTERRUPTED, 70.0, 0.0])
+    assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 530.0, kernels.INTERRUPTED, 70.0])
     # Readout ended under the cloud; robots and telescope stay: lamps only.
-    assert log[1] == pytest.approx([0, 700.0, 0.0, 0.0, 0.0, 600.0, kernels.OBSERVED, 40.0, 0.0])
+    assert log[1] == pytest.approx([0, 700.0, 0.0, 0.0, 0.0, 600.0, kernels.OBSERVED, 40.0])
 
 
 def test_cloud_before_the_shutter_opens(two_tiles):
@@ -124,7 +124,7 @@ def test_cloud_before_the_shutter_opens(two_tiles):
     is_cloudy = np.arange(60) == 1
     state = make_state(fields, visits, targets)
     log = run(make_night([[TAKES] * 60], is_cloudy), fields, visits, targets, make_rules(), state)
-    assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 0.0, kernels.NOT_STARTED, 60.0, 0.0])
+    assert log[0] == pytest.approx([0, 70.0, 10.0, 30.0, 0.0, 0.0, kernels.NOT_STARTED, 60.0])
     assert log[1, kernels.LOG_START] == pytest.approx(160.0)
 
 

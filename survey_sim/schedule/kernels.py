@@ -152,8 +152,8 @@ class Course(NamedTuple):
 NOW, READ_OUT = 0, 1
 PREVIOUS, N_DONE = 0, 1
 # Columns of the log of a night.
-LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD, LOG_LOST = range(9)
-N_LOG = 9
+LOG_VISIT, LOG_START, LOG_SLEW, LOG_CONFIGURATION, LOG_READOUT, LOG_EXPOSURE, LOG_STATUS, LOG_OVERHEAD = range(8)
+N_LOG = 8
 # Pointings of one night: each takes at least the shortest exposure, or is cut short by a cloudy minute.
 MAX_CUT_SHORT = 1_440
 
@@ -519,7 +519,6 @@ def point(night, fields, visits, targets, rules, state, course, tile, configurat
     row[LOG_EXPOSURE] = visits.exposure_s[visit] if status == OBSERVED else max(0.0, stop - start)
     row[LOG_STATUS] = status
     row[LOG_OVERHEAD] = min(stop, start) - now
-    row[LOG_LOST] = len(lost)
     course.place[N_DONE] += 1
     course.place[PREVIOUS] = visit
     course.clock[NOW] = stop

@@ -44,8 +44,6 @@ IntArray = npt.NDArray[np.int64]
 _STREAM_SUCCESS = 2
 # Nights thought ahead at most; their fields are kept.
 MOST_AHEAD = 256
-# What of the log of a night decides how it leaves the survey.
-_DECIDES = [kernels.LOG_VISIT, kernels.LOG_STATUS, kernels.LOG_LOST]
 
 Sky = tuple[kernels.Night, kernels.Fields]
 
@@ -157,8 +155,8 @@ class _Calendar:
     """The nights in order, and those thought ahead.
 
     A night is observed twice. First ahead of its turn, with estimates of what is not known of the robots, so that their ways
-    are found while other nights are decided; then in its turn, with nothing estimated. Where visits are other than was
-    thought, all nights after it are thought of again: what is made is that of night after night in order.
+    are found while other nights are decided; then in its turn, with nothing estimated: what is made is that of night after
+    night in order. Where other visits are taken than was thought, the nights after it are thought of again.
 
     Parameters
     ----------
@@ -215,8 +213,9 @@ class _Calendar:
         self.complete[number] = self.state.n_complete
         self._skies.pop(number)
         self._robots.accept(chain)
-        _, thought = self._thought.popleft() if self._thought else (None, None)
-        if thought is None or not np.array_equal(thought[:, _DECIDES], log[:, _DECIDES]):
+        thought = self._thought.popleft()[1] if self._thought else None
+        taken = [kernels.LOG_VISIT, kernels.LOG_STATUS]
+        if thought is None or not np.array_equal(thought[:, taken], log[:, taken]):
             self._thought.clear()
             self._ahead = None
 
