@@ -189,9 +189,9 @@ def test_estimates_that_matter_are_the_time_of_robots_that_nobody_disturbs(plate
     assert [match is not None for match in chain.job().matches] == [True] * 3
     late, _ = observe(robots, visits[:2])
     assert [match is not None for match in late.job().matches] == [False] * 2
-    assert late.configure(visits[2], 7.0, 13.9).time_s == expected[2]
+    assert late.configure(visits[2], 7.0, 10.4).time_s == expected[2]
     assert [match is not None for match in late.job().matches] == [True] * 2
-    assert late.configure(visits[2], 7.0, 14.0).time_s == 7.0
+    assert late.configure(visits[2], 7.0, 10.5).time_s == 7.0
 
 
 def test_a_match_made_for_robots_that_stand_elsewhere_is_made_again(plate):

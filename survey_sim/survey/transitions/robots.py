@@ -38,7 +38,7 @@ from survey_sim.survey.workers import Workers
 # Steps of one task of a worker.
 N_STEP_TASK = 60
 # A way of so many times the usual time is hardly ever seen: where that costs nothing, the usual time is estimate enough.
-FAR_FROM_USUAL = 2.0
+FAR_FROM_USUAL = 1.5
 _STEPS = "steps"
 
 
