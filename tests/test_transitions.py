@@ -224,6 +224,17 @@ def test_what_is_not_known_is_routed_at_once_if_it_must_be(plate, tmp_path):
     assert chain.is_known
     told = told_one_by_one(plate, configurations, (0, 3, 5), robots.routing, robots.seed)
     assert times == [time_s for _, _, time_s in told]
+    assert not list(tmp_path.glob("*.zip"))
+    robots.accept(chain)
+    assert len(list(tmp_path.glob("*.zip"))) == 1
+    for known in (robots, make_robots(plate, configurations, tmp_path)):
+        again, times_again = observe(known, (0, 3, 5))
+        assert again.is_known
+        assert times_again == times
+        for key, (position, theta, _) in zip(again.keys, told, strict=True):
+            state = known.state_after(key)
+            assert (state.position_mm == position).all()
+            assert (state.theta_deg == theta).all()
 
 
 def test_ways_are_kept_and_only_new_ones_routed(plate, tmp_path, monkeypatch):
@@ -272,7 +283,8 @@ def test_files_without_a_wanted_way_are_removed(plate, tmp_path):
     configurations = random_configurations(plate, np.random.default_rng(13))
     robots = make_robots(plate, configurations, tmp_path)
     wanted, _ = observe(robots, (0, 1), is_exact=True)
-    observe(robots, (3,), is_exact=True)
+    robots.accept(wanted)
+    robots.accept(observe(robots, (3,), is_exact=True)[0])
     robots.ways.prune(set(wanted.keys))
     kept = Ways(tmp_path).steps
     assert set(kept) == set(wanted.keys)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -187,6 +187,22 @@ class ChainResult:
 
     frames: dict[str, pl.DataFrame]
     steps: pl.DataFrame
+
+
+def joined(results: Sequence[ChainResult]) -> ChainResult:
+    """Results as those of one batch: steps are counted through all of them."""
+    first = np.cumsum([0, *(len(result.steps) for result in results)])[:-1].tolist()
+    frames = {
+        table: pl.concat(
+            result.frames[table].with_columns(pl.col("exposure_id") + begin)
+            for result, begin in zip(results, first, strict=True)
+        )
+        for table in EXPOSURE_TABLES
+    }
+    steps = pl.concat(
+        result.steps.with_columns(pl.col("step") + begin) for result, begin in zip(results, first, strict=True)
+    )
+    return ChainResult(frames, steps)
 
 
 def route_chains(batch: ChainBatch) -> ChainResult:

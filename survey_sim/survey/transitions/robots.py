@@ -27,10 +27,12 @@ from survey_sim.survey.tile import State
 from survey_sim.survey.transitions.chains import (
     ChainBatch,
     ChainJob,
+    ChainResult,
     Configurations,
     Goal,
     Match,
     batches,
+    joined,
     route_chains,
 )
 from survey_sim.survey.workers import Workers
@@ -62,7 +64,11 @@ class Packed:
 
 def route_and_pack(batch: ChainBatch) -> Packed:
     """Do all chains of a batch, and pack what came of it: work for another process."""
-    result = route_chains(batch)
+    return pack(route_chains(batch))
+
+
+def pack(result: ChainResult) -> Packed:
+    """What came of some chains as a file."""
     content = BytesIO()
     with zipfile.ZipFile(content, "w") as kept:
         for member, frame in ((_STEPS, result.steps), *result.frames.items()):
@@ -91,6 +97,7 @@ class Ways:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.steps: dict[str, Step] = {}
+        self._held: dict[str, ChainResult] = {}
         self.read = lru_cache(maxsize=16)(self._read)
         for path in sorted(folder.glob("*.zip")):
             try:
@@ -109,6 +116,22 @@ class Ways:
         tables.write_bytes(packed.content, self.folder / packed.name)
         self._index(packed.name, packed.steps)
 
+    def hold(self, result: ChainResult) -> None:
+        """Keep what came of a chain in memory until `release`: a file for each step would take longer than its way."""
+        name = f"held {len(self._held)}"
+        self._held[name] = result
+        self._index(name, result.steps)
+
+    def release(self) -> None:
+        """Write what is held, as one file."""
+        results, self._held = list(self._held.values()), {}
+        if not results:
+            return
+        for key in (key for result in results for key in result.steps["key"]):
+            del self.steps[key]
+        self.read.cache_clear()
+        self.keep(pack(joined(results)))
+
     def source(self, name: str, *, is_near: bool) -> bytes | Path:
         """A file, for `read_ways` on this machine, or anywhere."""
         return self.folder / name if is_near else (self.folder / name).read_bytes()
@@ -125,7 +148,8 @@ class Ways:
             self.steps.setdefault(key, Step(Configuration(time_s, np.array(lost, dtype=np.int64)), name, place))
 
     def _read(self, name: str, table: str) -> pl.DataFrame:
-        return read_ways(self.folder / name, table)
+        held = self._held.get(name)
+        return read_ways(self.folder / name, table) if held is None else held.frames[table]
 
 
 @dataclass
@@ -182,6 +206,7 @@ class PlateRobots:
     def accept(self, chain: Chain) -> None:
         """This night, the next one, is as it shall be."""
         if isinstance(chain, PlateChain):
+            self.ways.release()
             self.nights.append(chain.keys)
             self.on_accept(1, len(chain.keys))
 
@@ -202,7 +227,7 @@ class PlateRobots:
     def route_now(self, job: ChainJob) -> None:
         """Route a chain here."""
         for batch in batches([job], 1, self.plate, self.routing, self.seed):
-            self.ways.keep(route_and_pack(batch))
+            self.ways.hold(route_chains(batch))
 
 
 @dataclass(frozen=True)
