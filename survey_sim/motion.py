@@ -115,23 +115,27 @@ def alone_time_s(instrument: Instrument, start_mm: FloatArray, theta_deg: FloatA
     -------
         (n,) s, rotation and the precise approach included.
     """
-    return alone(instrument, start_mm, theta_deg, goal_mm)[0]
+    _, turned_s, square_s = _direct(instrument, theta_deg, goal_mm - start_mm)
+    return np.minimum(turned_s, square_s)
 
 
 def alone(
     instrument: Instrument, start_mm: FloatArray, theta_deg: FloatArray, goal_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """`alone_time_s`, and the orientation that each robot ends with, (n,) deg."""
-    step = goal_mm - start_mm
-    turn = turn_onto_line(theta_deg, step[:, 0], step[:, 1])
-    turn_rad = np.radians(np.abs(turn))
-    straight = np.hypot(step[:, 0], step[:, 1])
-    axes = straight * (np.cos(turn_rad) + np.sin(turn_rad))
-    turn_s = np.abs(turn) / instrument.rotation_speed_deg_s
-    turned_s = turn_s + _travel_s(instrument, straight, _approach(instrument, straight))
-    square_s = _travel_s(instrument, axes, _approach(instrument, axes))
-    is_turned = (turned_s <= square_s) & (straight > 0.0)
+    turn, turned_s, square_s = _direct(instrument, theta_deg, goal_mm - start_mm)
+    is_turned = (turned_s <= square_s) & (goal_mm != start_mm).any(axis=1)
     return np.minimum(turned_s, square_s), np.where(is_turned, wrap_deg(theta_deg + turn), theta_deg)
+
+
+def _direct(instrument: Instrument, theta_deg: FloatArray, step_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Turn onto the line of each step (n, 2), deg, and the time that the step takes turned, and not turned, s; each (n,)."""
+    turn = turn_onto_line(theta_deg, step_mm[:, 0], step_mm[:, 1])
+    size_deg = np.abs(turn)
+    straight = np.hypot(step_mm[:, 0], step_mm[:, 1])
+    axes = straight * (np.cos(np.radians(size_deg)) + np.sin(np.radians(size_deg)))
+    turned_s = size_deg / instrument.rotation_speed_deg_s + _travel_s(instrument, straight, _approach(instrument, straight))
+    return turn, turned_s, _travel_s(instrument, axes, _approach(instrument, axes))
 
 
 def leg_times_s(instrument: Instrument, legs: Legs) -> tuple[FloatArray, FloatArray]:

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from survey_sim.allocation import AllocationSettings, Field, FieldTargets, make_field, part_of_field
+from survey_sim.allocation.field import close_pair
 from survey_sim.allocation.kernels.bound import clique_parts, cliques_by_pair, most_apart, windows_within
 from survey_sim.allocation.kernels.choosing import crossings, note_lost, pairs_by_distance, pick_apart, take_in_order
 from survey_sim.allocation.kernels.cover import cover, make_items
 from survey_sim.allocation.kernels.lists import near_lists, reach_lists, sum_near
-from survey_sim.allocation.kernels.matching import match_all
+from survey_sim.allocation.kernels.matching import match_open
 from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.instrument import load_instrument, make_plate
 from tests import naive_allocation as naive
@@ -29,7 +30,11 @@ def places(seed, n, size_mm):
 
 
 def listed(first, member):
-    return {(i, int(j)) for i in range(len(first) - 1) for j in member[first[i] : first[i + 1]]}
+    return set(in_order(first, member))
+
+
+def in_order(first, member):
+    return [(i, int(j)) for i in range(len(first) - 1) for j in member[first[i] : first[i + 1]]]
 
 
 @no_deadline
@@ -289,12 +294,21 @@ def test_all_targets_are_held_at_the_cost_that_scipy_finds(seed):
     start, patrol = park + rng.uniform(-20.0, 20.0, park.shape), rng.uniform(15.0, 80.0, n_robot)
     is_guide, is_for_guide = rng.random(n_robot) < 0.2, rng.random(n_target) < 0.2
     barred = np.column_stack([rng.integers(0, n_robot, 5), rng.integers(0, max(1, n_target), 5)])
-    held, first, robot = match_all(start, park, patrol, is_guide, xy, is_for_guide, barred, 2.0)
+    first, robot = reach_lists(park, patrol, is_guide, xy, is_for_guide, np.ones(n_target, dtype=bool))
+    is_open = np.ones(len(robot), dtype=bool)
+    for r, t in barred[barred[:, 1] < n_target]:
+        close_pair(first, robot, r, t, is_open)
+    held = match_open(
+        np.ones(n_target, dtype=bool), is_open, start, park, xy, np.ones(n_target), n_target + 1.0, 2.0, 0.0,
+        first, robot, np.zeros(n_target + 1, dtype=np.int64), np.zeros(0, dtype=np.int32), 9.0, 0,
+    )  # fmt: skip
     may_hold = np.hypot(*(xy[:, None] - park).transpose(2, 0, 1)) <= patrol
     may_hold &= is_for_guide[:, None] == is_guide
     for r, t in barred[barred[:, 1] < n_target]:
         may_hold[t, r] = False
-    assert listed(first, robot) == set(map(tuple, np.argwhere(may_hold).tolist()))
+    assert {pair for pair, is_left in zip(in_order(first, robot), is_open, strict=True) if is_left} == set(
+        map(tuple, np.argwhere(may_hold).tolist())
+    )
     travel = np.hypot(*(xy[:, None] - start).transpose(2, 0, 1)) ** 4
     rows, columns = linear_sum_assignment(np.where(may_hold, travel, 1e15))
     is_real = may_hold[rows, columns]

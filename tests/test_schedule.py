@@ -182,7 +182,7 @@ def test_usual_configuration_time_depends_on_the_last_pointing():
 class ForgetfulRobots:
     """Robots whose times follow from all visits since the night began, and are not known before they are asked for.
 
-    What is learned of nights thought ahead is known some nights later. `wrong`: how far estimates are from the truth.
+    What is learned of nights thought ahead is known `n_late` nights later; None: nobody thinks ahead.
     """
 
     def __init__(self, n_late, most_s=200.0, lost=lambda way: ()):

@@ -139,6 +139,14 @@ def make_field(targets: FieldTargets, plate: Plate, settings: AllocationSettings
     return _with_lists(targets, plate, settings, xy, is_on_plate, near, reach)
 
 
+def close_pair(
+    reach_first: IntArray, reach_robot: npt.NDArray[np.int32], robot: int, target: int, is_pair_open: BoolArray
+) -> None:
+    """A robot shall not hold a target: note it in `is_pair_open` (n_pair,), in the order of the lists of `reach_lists`."""
+    pairs = slice(reach_first[target], reach_first[target + 1])
+    is_pair_open[pairs] &= reach_robot[pairs] != robot
+
+
 def part_of_field(field: Field, chosen: IntArray, targets: FieldTargets, settings: AllocationSettings) -> Field:
     """What `make_field` makes of some of the targets of a field, from its lists.
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from survey_sim.allocation.field import BoolArray, Field, VisitRequest
+from survey_sim.allocation.field import BoolArray, Field, VisitRequest, close_pair
 from survey_sim.allocation.kernels.choosing import pairs_by_distance, pick_apart, take_in_order
 from survey_sim.allocation.kernels.lists import nearest_squared
 from survey_sim.allocation.kernels.matching import match_open
@@ -179,8 +179,7 @@ def exchanged(
     is_pair_open = request.is_pair_open.copy()
     is_pair_open[pairs] &= is_usable
     for robot, target in barred:
-        of_target = slice(field.reach_first[target], field.reach_first[target + 1])
-        is_pair_open[of_target] &= field.reach_robot[of_target] != robot
+        close_pair(field.reach_first, field.reach_robot, robot, target, is_pair_open)
     found = match(field, request.start_mm, is_open, is_pair_open, np.ones(len(is_open)))
     n_kind = len(TARGET_KINDS)
     n_found, n_held = (np.bincount(kind[some[some >= 0]], minlength=n_kind) for some in (found, held))

@@ -6,8 +6,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from survey_sim.allocation.field import BoolArray
-from survey_sim.allocation.kernels.matching import match_all
+from survey_sim.allocation.field import BoolArray, close_pair
+from survey_sim.allocation.kernels.lists import reach_lists
+from survey_sim.allocation.kernels.matching import match_open
 from survey_sim.allocation.kernels.resting import place_idle
 from survey_sim.allocation.kernels.untangle import untangle
 from survey_sim.allocation.targets import FloatArray, IntArray
@@ -63,31 +64,36 @@ def match_around(
     untangles
         Whether robots that would be in each other's way exchange targets besides (`untangle`).
     """
-    taker, holder = np.flatnonzero(plate.is_live), np.flatnonzero(has_target)
-    # The holder itself reaches its target, whatever the rounding.
-    farthest = np.hypot(*(end_mm - plate.park_mm).T)[taker]
-    patrol = np.maximum(plate.patrol_radius_mm[taker], np.where(has_target[taker], farthest * (1.0 + ROUNDING), 0.0))
-    number_barred = [(np.searchsorted(taker, robot), np.searchsorted(holder, other)) for robot, other in barred]
-    held_by_taker, reach_first, reach_taker = match_all(
-        start_mm[taker], plate.park_mm[taker], patrol, plate.is_guide[taker], end_mm[holder], plate.is_guide[holder],
-        np.array(number_barred, dtype=np.int64).reshape(-1, 2), travel_power / 2.0,
+    holder = np.flatnonzero(has_target)
+    # The holder itself reaches its target, whatever the rounding; a dead robot reaches nothing.
+    farthest = np.hypot(*(end_mm - plate.park_mm).T)
+    patrol = np.maximum(plate.patrol_radius_mm, np.where(has_target, farthest * (1.0 + ROUNDING), 0.0))
+    xy, is_wanted = end_mm[holder], np.ones(len(holder), dtype=bool)
+    reach_first, reach_robot = reach_lists(
+        plate.park_mm, np.where(plate.is_live, patrol, np.nan), plate.is_guide, xy, plate.is_guide[holder], is_wanted
     )  # fmt: skip
-    held = np.full(plate.n_robot, -1)
-    held[taker] = held_by_taker
+    is_pair_open = np.ones(len(reach_robot), dtype=bool)
+    for robot, other in barred:
+        close_pair(reach_first, reach_robot, robot, int(np.searchsorted(holder, other)), is_pair_open)
+    near_first, near = np.zeros(len(holder) + 1, dtype=np.int64), np.zeros(0, dtype=np.int32)
+    separation = plate.instrument.min_separation_mm
+    # A robot without a target costs more than all ways together, so that all targets are held that can be.
+    held = match_open(
+        is_wanted, is_pair_open, start_mm, plate.park_mm, xy, np.ones(len(holder)), len(holder) + 1.0, travel_power / 2.0,
+        0.0, reach_first, reach_robot, near_first, near, separation, 0,
+    )  # fmt: skip
     if (held >= 0).sum() < len(holder):
         return None
     if untangles:
-        reach_robot, nobody = taker[reach_taker].astype(np.int32), np.zeros(0, dtype=np.int32)
         untangle(
-            start_mm, start_mm, plate.is_live, end_mm[holder], travel_power / 2.0, 0.0, reach_first, reach_robot,
-            np.ones(len(reach_robot), dtype=bool), np.zeros(len(holder) + 1, dtype=np.int64), nobody,
-            nobody.astype(np.int64), plate.instrument.min_separation_mm, held,
+            start_mm, start_mm, plate.is_live, xy, travel_power / 2.0, 0.0, reach_first, reach_robot, is_pair_open,
+            near_first, near, np.zeros(0, dtype=np.int64), separation, held,
         )  # fmt: skip
     giver = held.copy()
     giver[held >= 0] = holder[held[held >= 0]]
     goal_mm = np.where((giver >= 0)[:, None], end_mm[giver], start_mm)
     stuck = place_idle(
         giver < 0, plate.is_live, start_mm, plate.park_mm, plate.patrol_radius_mm,
-        plate.instrument.plate_radius_mm, plate.instrument.min_separation_mm, goal_mm,
+        plate.instrument.plate_radius_mm, separation, goal_mm,
     )  # fmt: skip
     return None if stuck >= 0 else (giver, goal_mm)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from survey_sim.allocation.closest import choose_advanced, choose_basic
-from survey_sim.allocation.field import BoolArray, Field, VisitRequest, make_field, with_sub_priority
+from survey_sim.allocation.field import BoolArray, Field, VisitRequest, close_pair, make_field, with_sub_priority
 from survey_sim.allocation.foreign import checked_choice
 from survey_sim.allocation.ideal import choose_ideal
 from survey_sim.allocation.kernels.choosing import crossings, note_lost
@@ -206,10 +206,8 @@ class Session:
         self.n_done[reached] += 1
         self._is_unrouted[reached] = False
         self._is_unrouted[missed] = True
-        for robot in np.flatnonzero(has_target & ~is_arrived):
-            target = visit.target[robot]
-            pairs = slice(self.field.reach_first[target], self.field.reach_first[target + 1])
-            self._is_pair_open[pairs] &= self.field.reach_robot[pairs] != robot
+        for robot in np.flatnonzero(has_target & ~is_arrived).tolist():
+            close_pair(self.field.reach_first, self.field.reach_robot, robot, int(visit.target[robot]), self._is_pair_open)
         self._n_visit += 1
         self._awaits_record = False
 

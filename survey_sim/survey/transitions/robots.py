@@ -282,10 +282,11 @@ class PlateChain:
         key, steps = self._key(visit), self.robots.ways.steps
         if key not in steps and self.must_be_exact:
             self.robots.route_now(self._job(len(self.keys), [key], [visit], [None]))
-        is_free = usual_s * FAR_FROM_USUAL <= free_s
-        self._asked = None if key in steps or is_free else self._think(visit)
+        self._asked = None
         if key in steps:
             return steps[key].configuration
+        if usual_s * FAR_FROM_USUAL > free_s:
+            self._asked = self._think(visit)
         return Configuration(usual_s if self._asked is None else self._asked.time_s, np.empty(0, dtype=np.int64))
 
     def go(self, visit: int) -> None:
